@@ -12,6 +12,7 @@ import tempfile
 import textwrap
 import tomllib
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from importlib import metadata
 from pathlib import Path
@@ -33,26 +34,19 @@ PATIENCE_S = 60.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """One line of the examination."""
+    """Result of a check."""
 
-    name: str  # What was looked at
-    # ``note``: works, but something is missing or could be better; ``fault``: something will not work
-    state: Literal["ok", "note", "fault"] = "ok"
+    name: str
+    state: Literal["ok", "note", "fault"] = "ok"  # ``note``: works with limitations; ``fault``: does not work
     text: str
-    advice: str = ""  # What to do; empty where nothing has to be done
-    facts: dict[str, Any] = field(default_factory=dict)  # The same for programs: JSON types
+    advice: str = ""
+    facts: dict[str, Any] = field(default_factory=dict)  # For programs, JSON types
 
     def __str__(self) -> str:
         head = f"{self.state.upper() if self.state == 'fault' else self.state:<5}  {self.name:<15}  "
         indent = " " * len(head)
-        text = textwrap.fill(
-            self.text,
-            110,
-            initial_indent=head,
-            subsequent_indent=indent,
-            break_long_words=False,
-            break_on_hyphens=False,
-        )
+        wrapper = textwrap.TextWrapper(110, head, indent, break_long_words=False, break_on_hyphens=False)
+        text = wrapper.fill(self.text)
         return f"{text}\n{indent}-> {self.advice}" if self.advice else text
 
 
@@ -62,16 +56,16 @@ class Finding:
 )
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def doctor(as_json: bool) -> int:
-    """0 if everything that is needed is there, 1 if not."""
-    checked, version = findings(), version_of(PROGRAM)
-    faults = [one.name for one in checked if one.state == "fault"]
+    """0 without faults, otherwise 1."""
+    results, version = findings(), version_of(PROGRAM)
+    faults = [finding.name for finding in results if finding.state == "fault"]
     if as_json:
-        listed = [asdict(one) for one in checked]
+        listed = [asdict(finding) for finding in results]
         content = {"program": PROGRAM, "version": version, "healthy": not faults, "findings": listed}
         click.echo(json.dumps(content, indent=2))
         return bool(faults)
-    last = f"{len(faults)} to mend: {', '.join(faults)}" if faults else "All required components are present."
-    click.echo("\n".join([f"{PROGRAM} {version or '(source tree, not installed)'}", *map(str, checked), last]))
+    summary = f"{len(faults)} to mend: {', '.join(faults)}" if faults else "All required components are present."
+    click.echo("\n".join([f"{PROGRAM} {version or '(source tree, not installed)'}", *map(str, results), summary]))
     return bool(faults)
 
 
@@ -84,24 +78,24 @@ def findings() -> list[Finding]:
         "caches": check_caches,
         "disk": check_disk,
     }
-    checked: list[Finding] = []
+    results: list[Finding] = []
     for name, check in checks.items():
         try:
-            checked.extend(check())
+            results.extend(check())
         except Exception as error:
-            said = f"{type(error).__name__}: {' '.join(str(error).split())}"
-            checked.append(Finding(name=name, state="fault", text=f"could not be checked ({said})"))
-    return checked
+            cause = f"{type(error).__name__}: {' '.join(str(error).split())}"
+            results.append(Finding(name=name, state="fault", text=f"could not be checked ({cause})"))
+    return results
 
 
 def declared(extra: str = "") -> list[Requirement]:
-    """Requirements of the program or of an extra: of the source tree if there is one, else as installed."""
+    """Requirements of the program or of an extra: of the source tree, otherwise of the installed package."""
     source = Path(__file__).parents[1] / "pyproject.toml"
     if source.is_file():
         project = tomllib.loads(source.read_text(encoding="utf-8"))["project"]
         return [Requirement(line) for line in (project["optional-dependencies"] | {"": project["dependencies"]})[extra]]
-    lines = [Requirement(line) for line in metadata.requires(PROGRAM) or ()]
-    return [one for one in lines if ("extra" in str(one.marker)) == bool(extra) and _applies(one, extra)]
+    installed = [Requirement(line) for line in metadata.requires(PROGRAM) or ()]
+    return [r for r in installed if ("extra" in str(r.marker)) == bool(extra) and _applies(r, extra)]
 
 
 def _applies(requirement: Requirement, extra: str) -> bool:
@@ -109,16 +103,16 @@ def _applies(requirement: Requirement, extra: str) -> bool:
 
 
 def _wrong(extra: str) -> tuple[dict[str, str], dict[str, str | None]]:
-    """Requirement -> what is wrong with it; and name -> version, None where it is missing."""
-    wanted = [one for one in declared(extra) if _applies(one, extra)]
-    versions = {one.name: version_of(one.name) for one in wanted}
+    """Requirement -> its fault; and name -> version, None for a missing package."""
+    requirements = [requirement for requirement in declared(extra) if _applies(requirement, extra)]
+    versions = {requirement.name: version_of(requirement.name) for requirement in requirements}
     wrong = {}
-    for one in wanted:
-        version, text = versions[one.name], f"{one.name}{one.specifier}"
+    for requirement in requirements:
+        name, specifier, version = requirement.name, requirement.specifier, versions[requirement.name]
         if version is None:
-            wrong[text] = f"{one.name} is missing"
-        elif not one.specifier.contains(version, prereleases=True):
-            wrong[text] = f"{one.name} {version} where {one.specifier} is needed"
+            wrong[f"{name}{specifier}"] = f"{name} is missing"
+        elif not specifier.contains(version, prereleases=True):
+            wrong[f"{name}{specifier}"] = f"{name} {version} where {specifier} is needed"
     return wrong, versions
 
 
@@ -132,7 +126,7 @@ def check_packages() -> Iterator[Finding]:
         name="packages",
         state="fault" if wrong else "ok",
         text="; ".join(wrong.values()) if wrong else f"{len(versions)} as declared; {pins}",
-        advice="pip install " + " ".join(f"'{one}'" for one in wrong) if wrong else "",
+        advice="pip install " + " ".join(f"'{requirement}'" for requirement in wrong) if wrong else "",
         facts={"versions": versions, "wrong": list(wrong.values())},
     )
     for extra in OPTIONAL:
@@ -144,21 +138,21 @@ def check_packages() -> Iterator[Finding]:
 
 
 def probe() -> None:
-    """Start the renderer and print a line of JSON per step: in a process of its own, as LLVM may end the process."""
+    """Start the renderer and print a line of JSON per step; in a separate process, which LLVM may end."""
     import psutil
 
     from optics.errors import BackendError
     from render.engine.jit import SAID, dr
     from render.engine.llvm import check_llvm, llvm_version
 
-    maps = (one.path for one in psutil.Process().memory_maps())
-    known: dict[str, Any] = {"llvm": llvm_version(), "library": next((path for path in maps if "LLVM" in path), None)}
-    known["threads"], known["cuda"] = dr.thread_count(), bool(dr.has_backend(dr.JitBackend.CUDA))
+    paths = (memory_map.path for memory_map in psutil.Process().memory_maps())
+    result: dict[str, Any] = {"llvm": llvm_version(), "library": next((path for path in paths if "LLVM" in path), None)}
+    result["threads"], result["cuda"] = dr.thread_count(), bool(dr.has_backend(dr.JitBackend.CUDA))
     try:
         check_llvm(dr.detail.llvm_version(), metadata.version("drjit"), said=SAID)
     except BackendError as error:
-        known["llvm_error"] = str(error)
-    print(json.dumps(known), flush=True)
+        result["llvm_error"] = str(error)
+    print(json.dumps(result), flush=True)
     try:
         from render.engine import Engine
 
@@ -172,36 +166,34 @@ def probe() -> None:
 def check_backend() -> Iterator[Finding]:
     """LLVM, the backend, threads and the GPU, as `probe` finds them."""
     command = [sys.executable, "-c", "from experiments.doctor import probe; probe()"]
-    status, output, said = -1, "", f"no answer within {PATIENCE_S:g} s"
-    try:
+    status, output, error = -1, "", f"no answer within {PATIENCE_S:g} s"
+    with suppress(subprocess.TimeoutExpired):
         done = subprocess.run(command, capture_output=True, encoding="utf-8", timeout=PATIENCE_S, check=False)
-        status, output, said = done.returncode, done.stdout, (done.stderr.strip().splitlines() or [""])[-1]
-    except subprocess.TimeoutExpired:
-        pass
-    known: dict[str, Any] = {}
+        status, output, error = done.returncode, done.stdout, (done.stderr.strip().splitlines() or [""])[-1]
+    probed: dict[str, Any] = {}
     for line in output.splitlines():
-        known |= json.loads(line)
-    yield from engine_findings(known, status, said, _graphics_cards())
+        probed |= json.loads(line)
+    yield from engine_findings(probed, status, error, _graphics_cards())
 
 
-def engine_findings(known: dict[str, Any], status: int, said: str, cards: str) -> Iterator[Finding]:
-    """Findings from the steps of the probe; ``cards``: the GPUs that NVIDIA's driver lists."""
-    if "llvm" in known:
-        yield _llvm(known)
-    if known.get("computed"):
-        yield Finding(name="backend", text=known["variant"], facts=known)
+def engine_findings(probed: dict[str, Any], status: int, error: str, cards: str) -> Iterator[Finding]:
+    """Findings from the steps of the probe, its exit status and last line of errors, and the GPUs of the driver."""
+    if "llvm" in probed:
+        yield _llvm(probed)
+    if probed.get("computed"):
+        yield Finding(name="backend", text=probed["variant"], facts=probed)
     else:
-        what, _, advice = (known.get("error") or said or "the renderer gave no result").partition("; ")
+        what, _, advice = (probed.get("error") or error or "the renderer gave no result").partition("; ")
         ended = f"the renderer was ended by signal {-status}: " if status < -1 else ""
         advice = advice or "see LLVM and packages above; if both are correct, create a new environment"
-        yield Finding(name="backend", state="fault", text=ended + what, advice=advice, facts=known)
-    if "threads" in known:
+        yield Finding(name="backend", state="fault", text=ended + what, advice=advice, facts=probed)
+    if "threads" in probed:
         from experiments.harness.system import THREADS, processors
 
-        told = ", ".join(name for name in THREADS if os.environ.get(name))
-        text = f"{known['threads']} of Dr.Jit, {processors()} of {os.cpu_count()} processors for this process; "
-        yield Finding(name="threads", text=text + (f"{told} set" if told else "one for linear algebra"))
-        if known["cuda"]:
+        limits = ", ".join(name for name in THREADS if os.environ.get(name))
+        text = f"{probed['threads']} of Dr.Jit, {processors()} of {os.cpu_count()} processors for this process; "
+        yield Finding(name="threads", text=text + (f"{limits} set" if limits else "one for linear algebra"))
+        if probed["cuda"]:
             yield Finding(name="GPU", text=f"{cards}; cuda_ad_mono is taken unless --backend llvm")
         elif cards:
             advice = "update NVIDIA's driver (Dr.Jit needs one for CUDA 11.3 or newer)"
@@ -210,14 +202,14 @@ def engine_findings(known: dict[str, Any], status: int, said: str, cards: str) -
             yield Finding(name="GPU", text="no NVIDIA driver here; the processor computes")
 
 
-def _llvm(known: dict[str, Any]) -> Finding:
-    if error := known.get("llvm_error"):
+def _llvm(probed: dict[str, Any]) -> Finding:
+    if error := probed.get("llvm_error"):
         what, _, advice = error.partition("; ")
-        if known["cuda"]:
+        if probed["cuda"]:
             return Finding(name="LLVM", state="note", text=f"{what} (not needed with the GPU)", advice=advice)
         return Finding(name="LLVM", state="fault", text=what, advice=advice)
-    text, span = f"{known['llvm']}, {known['library'] or 'found by Dr.Jit'}", f"{KNOWN_LLVM[0]} to {KNOWN_LLVM[-1]}"
-    if int(known["llvm"].partition(".")[0]) in KNOWN_LLVM:
+    text, span = f"{probed['llvm']}, {probed['library'] or 'found by Dr.Jit'}", f"{KNOWN_LLVM[0]} to {KNOWN_LLVM[-1]}"
+    if int(probed["llvm"].partition(".")[0]) in KNOWN_LLVM:
         return Finding(name="LLVM", text=f"{text} ({span} work)")
     advice = f"versions {span} are known to work; use one of them if a run ends without a message"
     return Finding(name="LLVM", state="note", text=text, advice=advice)
@@ -234,7 +226,7 @@ def _graphics_cards() -> str:
 
 
 def check_catalogue() -> Iterator[Finding]:
-    """The offline stars: presence, integrity, number and limiting magnitude."""
+    """The offline catalogue: presence, integrity, number of stars and limiting magnitude."""
     from optics.errors import StarbenchError
     from render.catalogue.gaia import gaia_extent
 
@@ -252,25 +244,25 @@ def check_caches() -> Iterator[Finding]:
     """Folders of compiled kernels (drjit-core, init.cpp) and star patterns: size, and whether they can be written."""
     from calib.attitude.pattern_cache import cache_folder
 
-    lost = "otherwise every start compiles anew", "otherwise star patterns are recomputed at every start"
-    yield _cache("kernels", Path.home() / ".drjit", f"set HOME to a folder that can be written, {lost[0]}")
-    yield _cache("patterns", cache_folder(), f"set STARBENCH_CACHE to a folder that can be written, {lost[1]}")
-
-
-def _cache(name: str, folder: Path, advice: str) -> Finding:
-    files = [file for file in folder.rglob("*") if file.is_file()]
-    size = sum(file.stat().st_size for file in files) / 1e6
-    facts = {"folder": str(folder), "files": len(files), "size_mb": size}
-    if not os.access(next(path for path in (folder, *folder.parents) if path.exists()), os.W_OK):
-        return Finding(name=name, state="note", text=f"{folder} cannot be written", advice=advice, facts=facts)
-    text = f"{len(files)} in {folder} ({size:.0f} MB); it may be deleted at any time"
-    return Finding(name=name, state="note" if size > LARGE_CACHE_MB else "ok", text=text, facts=facts)
+    for name, folder, variable, loss in (
+        ("kernels", Path.home() / ".drjit", "HOME", "every start compiles anew"),
+        ("patterns", cache_folder(), "STARBENCH_CACHE", "star patterns are recomputed at every start"),
+    ):
+        files = [file for file in folder.rglob("*") if file.is_file()]
+        size_mb = sum(file.stat().st_size for file in files) / 1e6
+        facts = {"folder": str(folder), "files": len(files), "size_mb": size_mb}
+        if not os.access(next(path for path in (folder, *folder.parents) if path.exists()), os.W_OK):
+            advice = f"set {variable} to a folder that can be written, otherwise {loss}"
+            yield Finding(name=name, state="note", text=f"{folder} cannot be written", advice=advice, facts=facts)
+            continue
+        text = f"{len(files)} in {folder} ({size_mb:.0f} MB); it may be deleted at any time"
+        yield Finding(name=name, state="note" if size_mb > LARGE_CACHE_MB else "ok", text=text, facts=facts)
 
 
 def check_disk() -> Iterator[Finding]:
-    """Room where results, temporary files and caches go."""
+    """Free space for results, temporary files and caches."""
     folders = {"here": Path.cwd(), "temporary": Path(tempfile.gettempdir()), "home": Path.home()}
-    free = {name: shutil.disk_usage(at).free / 1e6 for name, at in folders.items() if at.exists()}
+    free = {name: shutil.disk_usage(folder).free / 1e6 for name, folder in folders.items() if folder.exists()}
     text = ", ".join(f"{name} {mb / 1e3:.3g} GB" for name, mb in free.items()) + " free"
     if min(free.values()) > LITTLE_MB:
         yield Finding(name="disk", text=text, facts=free)

@@ -111,7 +111,7 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any = None) -> R
     """High spatial frequency error of a folder."""
     if len(folder.series) < 2:
         raise DomainError(f"{len(folder.series)} position; at least 2 [[series]] are needed")
-    if len(folder.series[0].found_px) < 2:
+    if len(folder.series[0].detected_px) < 2:
         raise DomainError("1 target point; at least 2 are needed, because the mean over the points is removed")
     series = [reduce_series(folder, one, methods) for one in folder.series]
     mean = np.stack([one.points.mean_px(methods[0]) for one in series])

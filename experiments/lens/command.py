@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import asdict
+from functools import wraps
 from pathlib import Path
 from typing import Any
 
@@ -12,41 +14,32 @@ import numpy as np
 from optics.errors import ConfigError
 from optics.textfile import write_text
 
+Read = Callable[[], Any]
+
 HELP = """Lens files of Zemax (.zmx), CODE V (.seq) and our own (.toml); zoom.zmx#2 is the second configuration."""
 
 
-def _reading(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Options of every reading."""
-    for option in reversed(
-        (
-            click.option("--strict", is_flag=True, help="refuse every approximation of the file"),
-            click.option("--glass", multiple=True, metavar="OLD=NEW", help="substitute glass NEW for OLD"),
-            click.option(
-                "--catalogue", multiple=True, metavar="AGF", help="glass catalogue, in addition to the built-in one"
-            ),
-        )
-    ):
-        function = option(function)
-    return function
+def _lens_file_argument(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Argument FILE and its options; the command gets the name as ``file`` and a function ``read`` in their place."""
+
+    @click.argument("file", type=click.Path(readable=False))
+    @click.option("--strict", is_flag=True, help="refuse every approximation of the file")
+    @click.option("--glass", multiple=True, metavar="OLD=NEW", help="substitute glass NEW for OLD")
+    @click.option("--catalogue", multiple=True, metavar="AGF", help="glass catalogue, in addition to the built-in one")
+    @wraps(function)
+    def command(file: str, strict: bool, glass: tuple[str, ...], catalogue: tuple[str, ...], **options: Any) -> Any:
+        def read() -> Any:
+            from optics.lens_file import read_lens_file
+
+            glasses = dict(_pairs("glass", glass, "BK7=N-BK7", "OLD=NEW"))
+            return read_lens_file(file, catalogues=catalogue, glasses=glasses, strict=strict)
+
+        return function(file=file, read=read, **options)
+
+    return command
 
 
-def _replacements(given: tuple[str, ...]) -> dict[str, str]:
-    pairs = {}
-    for one in given:
-        old, equals, new = one.partition("=")
-        if not (old.strip() and equals and new.strip()):
-            raise ConfigError(f"--glass {one}: OLD=NEW is needed, e.g. --glass BK7=N-BK7")
-        pairs[old.strip()] = new.strip()
-    return pairs
-
-
-def _read(path: str, strict: bool, glass: tuple[str, ...], catalogue: tuple[str, ...]) -> Any:
-    from optics.lens_file import read_lens_file
-
-    return read_lens_file(path, catalogues=catalogue, glasses=_replacements(glass), strict=strict)
-
-
-def _tell(file: Any) -> None:
+def _echo_report(file: Any) -> None:
     """Counts, inexact lines and first-order data on the terminal."""
     report = file.report
     if report is None:
@@ -54,9 +47,9 @@ def _tell(file: Any) -> None:
     click.echo(str(report))
     for line in report.inexact:
         click.echo(f"  {line}")
-    for one in report.comparisons:
-        computed, stated = ("–" if v is None else f"{v:.6g}" for v in (one.computed, one.stated))
-        click.echo(f"  {one.name}: {computed} {one.unit}" + (f" (file: {stated}, {one.source})" if one.source else ""))
+    for row in report.comparisons:
+        computed, stated = ("–" if v is None else f"{v:.6g}" for v in (row.computed, row.stated))
+        click.echo(f"  {row.name}: {computed} {row.unit}" + (f" (file: {stated}, {row.source})" if row.source else ""))
 
 
 @click.group("lens", help=HELP, context_settings={"help_option_names": ["-h", "--help"]})
@@ -65,41 +58,39 @@ def lens() -> None:
 
 
 @lens.command(help="One HTML page: prescription, first-order data, drawing, spots, distortion, colour, MTF, report.")
-@click.argument("file", type=click.Path(readable=False))
+@_lens_file_argument
 @click.option("--out", default=None, metavar="HTML", help="path of the page; default: the file's name with .html")
-@_reading
-def show(file: str, out: str | None, strict: bool, glass: tuple[str, ...], catalogue: tuple[str, ...]) -> None:
-    read = _read(file, strict, glass, catalogue)
+def show(file: str, read: Read, out: str | None) -> None:
+    lens_file = read()
     page = Path(out) if out else Path(Path(file.partition("#")[0]).stem + ".html")
     if not page.parent.is_dir():
         raise ConfigError(f"{page}: the folder {page.parent} does not exist")
-    _tell(read)
+    _echo_report(lens_file)
     from experiments.lens.page import page_of
 
-    write_text(page, page_of(read, Path(file).name))
+    write_text(page, page_of(lens_file, Path(file).name))
     click.echo(f"page: {page}")
 
 
 @lens.command(help="Convert a lens file to .toml, .zmx or .seq.")
-@click.argument("file", type=click.Path(readable=False))
+@_lens_file_argument
 @click.argument("new")
 @click.option("--force", is_flag=True, help="overwrite an existing file")
-@_reading
-def convert(file: str, new: str, force: bool, strict: bool, glass: tuple[str, ...], catalogue: tuple[str, ...]) -> None:
+def convert(file: str, read: Read, new: str, force: bool) -> None:
     from optics.export.write import write_lens
 
     if Path(new).exists() and not force:
         raise ConfigError(f"{new} exists; --force overwrites it")
-    read = _read(file, strict, glass, catalogue)
-    _tell(read)
-    for path in write_lens(read, new):
+    lens_file = read()
+    _echo_report(lens_file)
+    for path in write_lens(lens_file, new):
         click.echo(f"written: {path}")
-    if not new.lower().endswith(".toml") and any(surface.coating is not None for surface in read.lens.surfaces):
+    if not new.lower().endswith(".toml") and any(surface.coating is not None for surface in lens_file.lens.surfaces):
         click.echo("coatings are left out: only .toml holds them")
 
 
 @lens.command(help="List the ghosts of a star, brightest first: all pairs of surfaces, detector and window included.")
-@click.argument("file", type=click.Path(readable=False))
+@_lens_file_argument
 @click.option(
     "--field",
     multiple=True,
@@ -123,9 +114,9 @@ def convert(file: str, new: str, force: bool, strict: bool, glass: tuple[str, ..
 @click.option("--roughness-nm", default=1.0, show_default=True, help="RMS roughness of all surfaces (scatter)")
 @click.option("--cleanliness", default=300.0, show_default=True, help="IEST-STD-CC1246 level of the first surface")
 @click.option("--rows", default=10, show_default=True, help="ghosts listed for every field angle")
-@_reading
 def ghosts(
     file: str,
+    read: Read,
     field: tuple[float, ...],
     wavelength: float | None,
     coating_nm: float,
@@ -136,9 +127,6 @@ def ghosts(
     roughness_nm: float,
     cleanliness: float,
     rows: int,
-    strict: bool,
-    glass: tuple[str, ...],
-    catalogue: tuple[str, ...],
 ) -> None:
     from optics.frames import field_direction
     from optics.glass.coating import QuarterWave
@@ -147,46 +135,42 @@ def ghosts(
 
     if not pixel_um > 0.0:
         raise ConfigError(f"--pixel-um {pixel_um:g}: it must be positive")
-    made = _read(file, strict, glass, catalogue).lens
+    system = read().lens
     if window is not None:
-        made = with_cover_glass(made, *_window(window))
-    end = len(made.surfaces)
-    rough = lens_scatter(made, roughness_nm, made.design_wavelength_nm if wavelength is None else wavelength)
-    dust = area_coverage(cleanliness)
-    click.echo(f"{made.name}: {len(ghost_pairs(made))} pairs of surfaces; {end} is the detector")
+        system = with_cover_glass(system, *_window(window))
+    rough = lens_scatter(system, roughness_nm, system.design_wavelength_nm if wavelength is None else wavelength)
+    click.echo(f"{system.name}: {len(ghost_pairs(system))} pairs of surfaces; {len(system.surfaces)} is the detector")
     click.echo(f"scattered by roughness of {roughness_nm:g} nm: {100.0 * rough:.4g} %")
-    click.echo(f"covered by dust of level {cleanliness:g}: {100.0 * dust:.4g} % of a surface")
-    for angle in field or (0.0, 0.7 * made.max_field_deg):
-        found = find_ghosts(
-            made,
+    click.echo(f"covered by dust of level {cleanliness:g}: {100.0 * area_coverage(cleanliness):.4g} % of a surface")
+    for angle in field or (0.0, 0.7 * system.max_field_deg):
+        table = find_ghosts(
+            system,
             field_direction(angle, 0.0),
             wavelength_nm=wavelength,
             coating=QuarterWave(design_wavelength_nm=coating_nm) if coating_nm > 0.0 else None,
             detector_reflectance=detector,
             absorption=absorption,
         )
-        click.echo(f"\nstar at {angle:g} deg, image at ({found.image_x_mm:.3f}, {found.image_y_mm:.3f}) mm")
+        click.echo(f"\nstar at {angle:g} deg, image at ({table.image_x_mm:.3f}, {table.image_y_mm:.3f}) mm")
         click.echo("  back forward  magnitude     x [mm]     y [mm]  RMS radius [mm]  mag of its brightest pixel")
-        peak = -2.5 * np.log10(found.brightest_pixel(1e-3 * pixel_um))
-        for k in range(min(rows, len(found.flux))):
+        peak = -2.5 * np.log10(table.brightest_pixel(1e-3 * pixel_um))
+        for k in range(min(rows, len(table.flux))):
             click.echo(
-                f"  {found.back[k]:4d} {found.forward[k]:7d} {found.magnitude[k]:+10.2f} {found.x_mm[k]:10.3f} "
-                f"{found.y_mm[k]:10.3f} {found.rms_mm[k]:16.4f} {peak[k]:+10.2f}{'  sharp' if found.sharp[k] else ''}"
+                f"  {table.back[k]:4d} {table.forward[k]:7d} {table.magnitude[k]:+10.2f} {table.x_mm[k]:10.3f} "
+                f"{table.y_mm[k]:10.3f} {table.rms_mm[k]:16.4f} {peak[k]:+10.2f}{'  sharp' if table.sharp[k] else ''}"
             )
         if len(peak):
             k = int(np.argmin(peak))
-            click.echo(f"  brightest pixel: pair {found.back[k]}, {found.forward[k]}, {peak[k]:+.2f} mag")
-        books = found.ledger
-        parts = ", ".join(
-            f"{one} {max(0.0, round(100.0 * getattr(books, one), 9)):.4g} %" for one in books.__dataclass_fields__
-        )
+            click.echo(f"  brightest pixel: pair {table.back[k]}, {table.forward[k]}, {peak[k]:+.2f} mag")
+        fractions = asdict(table.ledger).items()
+        parts = ", ".join(f"{name} {max(0.0, round(100.0 * value, 9)):.4g} %" for name, value in fractions)
         click.echo(f"  of the light on the first surface: {parts}")
 
 
 @lens.command(
     help="Change of focus, scale and boresight per kelvin of lens and housing, and the spacer that holds the focus."
 )
-@click.argument("file", type=click.Path(readable=False))
+@_lens_file_argument
 @click.option("--housing", default=None, metavar="MATERIAL", help="material of the barrel, or its expansion in 1e-6/K")
 @click.option("--diameter", type=float, metavar="MM", help="diameter of the barrel; default: the widest clear aperture")
 @click.option(
@@ -211,9 +195,9 @@ def ghosts(
     metavar="MATERIAL",
     help="second material, in series with that spacer",
 )
-@_reading
 def thermal(
     file: str,
+    read: Read,
     housing: str | None,
     diameter: float | None,
     mounted: float | None,
@@ -222,9 +206,6 @@ def thermal(
     field: float | None,
     athermal: tuple[str, ...],
     second: str,
-    strict: bool,
-    glass: tuple[str, ...],
-    catalogue: tuple[str, ...],
 ) -> None:
     from experiments.lens.thermal import thermal_lines
     from optics.validate import parse_model
@@ -237,18 +218,19 @@ def thermal(
     given["spacers"] = {name: _material(text) for name, text in _pairs("spacer", spacer, "L6=invar_36")}
     given["rims_mm"] = {name: _radii(text) for name, text in _pairs("rim", rim, "L1=35:35")}
     table = parse_model(HousingConfig, given, "housing")
-    made = _read(file, strict, glass, catalogue).lens
-    for line in thermal_lines(made, housing_of(table), _material(second), corner_deg=field, spacers=athermal):
+    for line in thermal_lines(read().lens, housing_of(table), _material(second), corner_deg=field, spacers=athermal):
         click.echo(line)
 
 
-def _pairs(option: str, given: tuple[str, ...], example: str) -> list[tuple[str, str]]:
-    """Name and value of NAME=VALUE."""
-    pairs = [tuple(part.strip() for part in one.partition("=")[::2]) for one in given]
-    for one, (name, value) in zip(given, pairs, strict=True):
+def _pairs(option: str, given: tuple[str, ...], example: str, form: str = "NAME=VALUE") -> list[tuple[str, str]]:
+    """Name and value of every NAME=VALUE."""
+    pairs = []
+    for text in given:
+        name, _, value = (part.strip() for part in text.partition("="))
         if not (name and value):
-            raise ConfigError(f"--{option} {one}: NAME=VALUE is needed, e.g. --{option} {example}")
-    return [(name, value) for name, value in pairs]
+            raise ConfigError(f"--{option} {text}: {form} is needed, e.g. --{option} {example}")
+        pairs.append((name, value))
+    return pairs
 
 
 def _material(text: str) -> str | float:

@@ -19,8 +19,8 @@ from optics.lens_study import study
 
 def page_of(file: LensFile, shown: str) -> str:
     """One self-contained HTML page."""
-    made = study(file, shown)
-    outcome = Outcome(config=None, result=made, data=xr.Dataset())
+    results = study(file, shown)
+    outcome = Outcome(config=None, result=results, data=xr.Dataset())
 
     def draw(name: str, *arguments: Any) -> Any:
         with house_style():
@@ -29,7 +29,7 @@ def page_of(file: LensFile, shown: str) -> str:
     return render_document(
         Path(__file__).with_name("report.md"),
         outcome,
-        tables=tables(made),
+        tables=tables(results),
         draw=draw,
         criteria=(),
         provenance=collect("lens", {"lens": shown, "seed": None}, variant=None, quick=False, times_s={}),

@@ -19,10 +19,10 @@ def _finite(value: Any) -> Any:
     return value if value is None or math.isfinite(value) else "∞"
 
 
-def _prescription(made: Study) -> Table:
+def _prescription(study: Study) -> Table:
     rows = []
-    tables = made.file.tables["surface"]
-    labels = made.file.labels or [str(number) for number in range(len(tables))]
+    tables = study.file.tables["surface"]
+    labels = study.file.labels or [str(number) for number in range(len(tables))]
     for label, table in zip(labels, tables, strict=True):
         rest = ", ".join(f"{k} {_words(v)}" for k, v in table.items() if k not in _SHOWN_KEYS)
         radius = table.get("radius_mm")
@@ -42,7 +42,7 @@ def _prescription(made: Study) -> Table:
     return Table(
         columns=heads,
         rows=rows,
-        caption=f"Prescription in the order of the light, counted {'by the file' if made.file.labels else 'from 0'}.",
+        caption=f"Prescription in the order of the light, counted {'by the file' if study.file.labels else 'from 0'}.",
     )
 
 
@@ -57,8 +57,8 @@ def _words(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def _first_order(made: Study) -> Table:
-    first = made.first_order
+def _first_order(study: Study) -> Table:
+    first = study.first_order
     assert first is not None
     rows = [
         ("focal length (EFL)", first.efl_mm, "mm"),
@@ -67,7 +67,7 @@ def _first_order(made: Study) -> Table:
         ("entrance pupil, diameter", 2.0 * first.entrance_pupil_radius_mm, "mm"),
         ("entrance pupil, z from the first vertex", first.entrance_pupil_z_mm, "mm"),
         ("exit pupil, diameter", 2.0 * first.exit_pupil_radius_mm, "mm"),
-        ("half field", made.file.lens.max_field_deg, "°"),
+        ("half field", study.file.lens.max_field_deg, "°"),
     ]
     caption = (
         f"First-order data at {first.wavelength_nm:g} nm, along the axis as mirrors turn it; other tilts and decentres "
@@ -80,25 +80,20 @@ def _first_order(made: Study) -> Table:
     )
 
 
-def _fields(made: Study) -> Table:
-    rms = white_rms_mm(made)
-    performance = made.performance
-    rows: list[Any] = []
-    for at, field in enumerate(made.field_deg):
-        light = None
-        if made.spots is not None:
-            area = made.spots.area_mm2.sum(axis=(1, 2))
-            light = float(100.0 * area[at] / area[0]) if area[0] > 0.0 else None
-        rows.append(
-            (
-                float(field),
-                None if rms is None or not np.isfinite(rms[at]) else float(1e3 * rms[at]),
-                None if made.focus is None else _finite(float(1e3 * made.focus[at, 0])),
-                None if made.focus is None else _finite(float(1e3 * made.focus[at, 1])),
-                None if performance is None else float(100.0 * performance.distortion[at]),
-                light,
-            )
+def _fields(study: Study) -> Table:
+    rms = white_rms_mm(study)
+    performance = study.performance
+    area = None if study.spots is None else study.spots.area_mm2.sum(axis=(1, 2))
+    rows: list[Any] = [
+        (
+            float(field),
+            None if rms is None or not np.isfinite(rms[at]) else float(1e3 * rms[at]),
+            *((None, None) if study.focus is None else (_finite(float(1e3 * focus)) for focus in study.focus[at])),
+            None if performance is None else float(100.0 * performance.distortion[at]),
+            None if area is None or not area[0] > 0.0 else float(100.0 * area[at] / area[0]),
         )
+        for at, field in enumerate(study.field_deg)
+    ]
     columns = (
         Column(name="field", unit="°"),
         Column(name="RMS spot", unit="µm", format=".2f"),
@@ -119,16 +114,16 @@ _ZERNIKE_NAMES = (
 )  # fmt: skip
 
 
-def _wavefront(made: Study) -> dict[str, Table]:
+def _wavefront(study: Study) -> dict[str, Table]:
     """Strehl ratios with errors of the wavefront, and its Zernike coefficients."""
-    waves = made.waves
+    waves = study.waves
     assert waves is not None
-    columns = [Column(name=f"{made.field_deg[at]:.3g}°", format=".4f") for at in SHOWN]
+    columns = [Column(name=f"{study.field_deg[at]:.3g}°", format=".4f") for at in SHOWN]
     rows: list[Any] = [
         ("Strehl ratio", *(waves.images.strehl if waves.images else [None] * len(SHOWN))),
-        ("exp(-(2π σ)²) (Maréchal)", *(one.marechal for one in waves.wavefront)),
-        ("RMS σ [waves]", *(one.rms_waves for one in waves.wavefront)),
-        ("peak to valley [waves]", *(one.peak_to_valley_nm / one.wavelength_nm for one in waves.wavefront)),
+        ("exp(-(2π σ)²) (Maréchal)", *(error.marechal for error in waves.wavefront)),
+        ("RMS σ [waves]", *(error.rms_waves for error in waves.wavefront)),
+        ("peak to valley [waves]", *(error.peak_to_valley_nm / error.wavelength_nm for error in waves.wavefront)),
     ]
     zernike: list[Any] = [
         (f"{j + 1}", name, *(float(v) for v in waves.zernike_waves[:, j])) for j, name in enumerate(_ZERNIKE_NAMES) if j
@@ -147,26 +142,19 @@ def _wavefront(made: Study) -> dict[str, Table]:
     }
 
 
-def _report(made: Study) -> dict[str, Table]:
-    report = made.file.report
+def _report(study: Study) -> dict[str, Table]:
+    report = study.file.report
     assert report is not None
     heads = ("line", "surface", "command", "became", "meaning")
     lines = [
-        (
-            str(e.line) if e.line else "–",
-            "" if e.surface is None else str(e.surface),
-            e.command,
-            str(e.status),
-            e.message,
-        )
+        (f"{e.line or '–'}", "" if e.surface is None else f"{e.surface}", e.command, str(e.status), e.message)
         for e in report.lines
     ]
     inexact = [row for row, entry in zip(lines, report.lines, strict=True) if not entry.exact]
     compared = []
-    for one in report.comparisons:
-        known = [v is not None and math.isfinite(v) for v in (one.computed, one.stated)]
-        shown = [f"{v:.8g}" if k else "" for k, v in zip(known, (one.computed, one.stated), strict=True)]
-        compared.append((one.name, one.unit, *shown, one.source))
+    for row in report.comparisons:
+        values = ("" if v is None or not math.isfinite(v) else f"{v:.8g}" for v in (row.computed, row.stated))
+        compared.append((row.name, row.unit, *values, row.source))
     glasses = [
         (g.asked, g.taken, g.where, str(g.status), g.change_text if any(g.change or (1.0,)) else "none")
         for g in report.glasses
@@ -188,11 +176,11 @@ def _report(made: Study) -> dict[str, Table]:
     }
 
 
-def tables(made: Study) -> dict[str, Table]:
+def tables(study: Study) -> dict[str, Table]:
     """Every table by name."""
-    found = {"prescription": _prescription(made), "fields": _fields(made)}
-    if made.first_order is not None:
-        found["first_order"] = _first_order(made)
-    if made.waves is not None:
-        found |= _wavefront(made)
-    return found | (_report(made) if made.file.report is not None else {})
+    by_name = {"prescription": _prescription(study), "fields": _fields(study)}
+    if study.first_order is not None:
+        by_name["first_order"] = _first_order(study)
+    if study.waves is not None:
+        by_name |= _wavefront(study)
+    return by_name | (_report(study) if study.file.report is not None else {})

@@ -39,9 +39,9 @@ def thermal_lines(
         second_per_k = expansion_per_k(second)
     except ValueError as error:
         raise ConfigError(f"--second {second}: {error}") from None
-    found = thermal_sensitivity(lens, housing, corner_deg=corner_deg)
-    yield f"{lens.name}: housing {1e6 * housing.expansion_per_k:g} ppm/K, focal length {found.focal_length_mm:.4g} mm"
-    yield from _matrix(found)
+    change = thermal_sensitivity(lens, housing, corner_deg=corner_deg)
+    yield f"{lens.name}: housing {1e6 * housing.expansion_per_k:g} ppm/K, focal length {change.focal_length_mm:.4g} mm"
+    yield from _matrix(change)
     yield ""
     yield f"spacers that hold the focus, the others {1e6 * housing.expansion_per_k:g} ppm/K:"
     yield "  in front of  length [mm]  expansion [ppm/K]  left at +20 K [um]  second material [mm]"
@@ -54,18 +54,18 @@ def thermal_lines(
             yield f"  {name:11s} none within +-10000 ppm/K"
 
 
-def _matrix(found: ThermalSensitivity) -> Iterator[str]:
+def _matrix(change: ThermalSensitivity) -> Iterator[str]:
     yield ""
     yield (
         "per kelvin                   focus    scale    boresight x, y  distortion  colour  map fit   step\n"
         "                              [um]    [ppm]          [arcsec]    [arcsec]    [um]     [nm]"
     )
     for row, name in enumerate(COMPONENTS):
-        x, y = (value if abs(value) > 5e-5 else 0.0 for value in found.boresight_arcsec_per_k[row])
+        x, y = (value if abs(value) > 5e-5 else 0.0 for value in change.boresight_arcsec_per_k[row])
         yield (
-            f"{NAMES[name]:26s} {found.focus_um_per_k[row]:+7.3f} {_plain(found.scale_ppm_per_k[row]):+8.2f} {x:+8.3f} "
-            f"{y:+8.3f} {found.distortion_arcsec_per_k[row]:11.4f} {found.colour_um_per_k[row]:7.4f} "
-            f"{1e6 * found.fit_error_mm_per_k[row]:8.3f} {found.step_error[row]:6.0e}"
+            f"{NAMES[name]:26s} {change.focus_um_per_k[row]:+7.3f} {_plain(change.scale_ppm_per_k[row]):+8.2f} "
+            f"{x:+8.3f} {y:+8.3f} {change.distortion_arcsec_per_k[row]:11.4f} {change.colour_um_per_k[row]:7.4f} "
+            f"{1e6 * change.fit_error_mm_per_k[row]:8.3f} {change.step_error[row]:6.0e}"
         )
 
 
@@ -73,10 +73,10 @@ def _plain(value: float) -> float:
     return value if abs(value) > 5e-3 else 0.0
 
 
-def _spacer(one: Athermal, housing: Housing, second_per_k: float) -> str:
-    own = housing.expansion_per_k
-    length = "–" if own == second_per_k else f"{one.second_material_mm(own, second_per_k):.2f}"
+def _spacer(spacer: Athermal, housing: Housing, second_per_k: float) -> str:
+    housing_per_k = housing.expansion_per_k
+    length = "–" if housing_per_k == second_per_k else f"{spacer.second_material_mm(housing_per_k, second_per_k):.2f}"
     return (
-        f"  {one.spacer:11s} {one.length_mm:12.3f} {1e6 * one.expansion_per_k:18.2f} {one.focus_um_at_20_k:19.3f} "
-        f"{length:>21s}"
+        f"  {spacer.spacer:11s} {spacer.length_mm:12.3f} {1e6 * spacer.expansion_per_k:18.2f} "
+        f"{spacer.focus_um_at_20_k:19.3f} {length:>21s}"
     )

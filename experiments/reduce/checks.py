@@ -6,7 +6,7 @@ Every number has its own statistic, and none needs more than the frames:
     Photon transfer of flats (`calib.detector.photon_transfer`), if there are several; else of the windows
     (`calib.detector.window_photon_transfer`).
 ``motion``
-    What all points of a frame have in common, against the noise of the points by Fisher's F
+    Common motion of all points of a frame, against the noise of the points by Fisher's F
     (`calib.measure.statistics.frame_positions`).
 ``moved``, ``light``, ``lag``
     Jumps and drift of position and light, correlation from frame to frame (`calib.accuracy.frame_sequence`).
@@ -26,8 +26,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain, pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.accuracy.frame_sequence import Change, largest_change, scatter_ratio
 from calib.detector.adc_range import converter_range
@@ -44,22 +46,21 @@ from optics.arrays import FloatArray
 GAIN_ALLOWANCE = 0.05
 """Largest relative error of photon transfer: charge shared between pixels lowers the variance by some per cent."""
 NOISE_ALLOWANCE = 0.05
-"""Largest relative error of the noise model: motion that is let pass makes 3 %, and read noise differs from pixel to
-pixel."""
+"""Largest relative error of the noise model: tolerated motion adds 3 %, and read noise differs from pixel to pixel."""
 LIGHT_ALLOWANCE = 0.05
-"""Change of light that is let pass: it changes the noise by less than 3 %."""
+"""Tolerated relative change of light: it changes the noise by less than 3 %."""
 MOTION_ALLOWANCE = 0.06
-"""Motion that raises the scatter of a point by 3 % is let pass: its variance over that of the point."""
+"""Tolerated variance of the motion over that of a point, whose scatter then grows by 3 %."""
 COMMON_NOISE = 0.2
-"""Tolerated correlation of the noise of two frames: crosstalk and slow patterns make some of it."""
+"""Tolerated correlation of the noise of two frames, due to crosstalk and slow patterns."""
 FEWEST_FOR_MOTION = 3
 SHOWN = 3
-"""Frames that a message names."""
+"""Frames named in a message."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameChecks:
-    """All series of a folder together. Gain without two frames in a series or enough light: None; so is the rest."""
+    """All series of a folder together; None for a check without enough frames, points or light."""
 
     stated_gain: float = col("Gain, stated", "DN/e-", json="gain_dn_per_e.stated")
     transfer_gain: Measured | None = col("Gain, photon transfer", "DN/e-", json="gain_dn_per_e.photon_transfer")
@@ -94,19 +95,19 @@ class FrameChecks:
 def check_frames(folder: FrameFolder, reduced: Sequence[SeriesFrames], method: str) -> FrameChecks:
     """Check all series of a folder; ``method`` is the main centroider."""
     series, stated, tests = folder.series, folder.settings.gain_dn_per_e, len(reduced)
-    several = [one for one in series if len(one.windows.dn) > 1]
+    repeated = [frames for frames in series if len(frames.windows.dn) > 1]
     findings = {
-        "motion": _worst(f for one in reduced for f in _motions(one.points.position_px[method], one.name, tests)),
-        "moved": _worst(f for one in reduced for f in _moves(one, method, tests)),
-        "light": _worst(_light(one, tests) for one in reduced),
-        "lag": _worst(lag for one in reduced for lag in one.lags),
-        "shared": _worst(_shared(one, tests) for one in several),
+        "motion": _worst(chain.from_iterable(_motions(centroids, method, tests) for centroids in reduced)),
+        "moved": _worst(chain.from_iterable(_moves(centroids, method, tests) for centroids in reduced)),
+        "light": _worst(_light(centroids, tests) for centroids in reduced),
+        "lag": _worst(lag for centroids in reduced for lag in centroids.lags),
+        "shared": _worst(_shared(frames, tests) for frames in repeated),
     }
-    value = {name: None if one is None else one.value for name, one in findings.items()}
-    limit = {name: None if one is None else one.limit for name, one in findings.items()}
-    gain = _gain(folder, several)
+    value = {name: None if statistic is None else statistic.value for name, statistic in findings.items()}
+    limit = {name: None if statistic is None else statistic.limit for name, statistic in findings.items()}
+    gain = _gain(folder, repeated)
     copied, disorder = _copied(series), _disorder(series)
-    readings = (one.windows.dn[_unique(one)][:, ~one.windows.defect] for one in series)
+    readings = (frames.windows.dn[_unique(frames)][:, ~frames.windows.defect] for frames in series)
     converter = converter_range(readings, false_alarm=FALSE_ALARM)
     flat = folder.flat
     pattern = (0.0, 0.0) if flat is None else (flat.response.pixel_to_pixel, flat.response.noise)
@@ -130,7 +131,7 @@ def check_frames(folder: FrameFolder, reduced: Sequence[SeriesFrames], method: s
         shared_limit=limit["shared"],
         disorder=disorder,
         disordered=len(disorder),
-        frames=sum(len(one.windows.dn) for one in series),
+        frames=sum(len(frames.windows.dn) for frames in series),
         copied=copied,
         copies=len(copied),
         step_dn=converter.step_dn,
@@ -144,35 +145,41 @@ def check_frames(folder: FrameFolder, reduced: Sequence[SeriesFrames], method: s
 
 
 def _worst(findings: Iterable[FrameStatistic | None]) -> FrameStatistic | None:
-    """The finding that exceeds its limit most, or comes nearest to it."""
-    return max((one for one in findings if one is not None), key=lambda one: abs(one.value) / one.limit, default=None)
+    """The statistic with the largest ratio to its limit."""
+    return max(filter(None, findings), key=lambda statistic: abs(statistic.value) / statistic.limit, default=None)
 
 
-def _gain(folder: FrameFolder, several: Sequence[FrameSeries]) -> Measured | None:
+def _gain(folder: FrameFolder, repeated: Sequence[FrameSeries]) -> Measured | None:
     """Gain by the flats, or by the windows; None without two frames of enough pixels."""
     transfer: PhotonTransfer | None = None if folder.flat is None else folder.flat.transfer
-    usable = [~one.windows.defect for one in several]
-    if transfer is None and sum(int(ok.sum()) for ok in usable) >= FEWEST_PIXELS:
-        transfer = window_photon_transfer([one.windows.dn for one in several], usable)
+    usable = [~frames.windows.defect for frames in repeated]
+    if transfer is None and sum(map(np.count_nonzero, usable)) >= FEWEST_PIXELS:
+        transfer = window_photon_transfer([frames.windows.dn for frames in repeated], usable)
     if transfer is None:
         return None
     value, error = transfer.gain_dn_per_e, transfer.gain_error_dn_per_e
     return Measured(value=value, unit="DN/e-", uncertainty=error, n=transfer.pixels)
 
 
-def _motions(position_px: FloatArray, name: str, tests: int) -> Iterator[FrameStatistic]:
-    """Common motion along x and y from centroids (f, j, 2); none for one point or fewer than three whole frames."""
-    whole = position_px[np.isfinite(position_px).all((1, 2))]
-    frames, points, _ = whole.shape
+def _complete(position_px: FloatArray) -> NDArray[np.bool_]:
+    """Frames (f,) in which every point has a centroid (f, j, 2)."""
+    return np.asarray(np.isfinite(position_px).all((1, 2)))
+
+
+def _motions(centroids: SeriesFrames, method: str, tests: int) -> Iterator[FrameStatistic]:
+    """Common motion along x and y; none for a single point or fewer than three complete frames."""
+    position_px = centroids.points.position_px[method]
+    position_px = position_px[_complete(position_px)]
+    frames, points, _ = position_px.shape
     if points < 2 or frames < FEWEST_FOR_MOTION:
         return
-    motion, noise = common_motion_px2(whole)
+    motion, noise = common_motion_px2(position_px)
     ratio = common_motion_limit(frames, points, FALSE_ALARM / (2 * tests))
     limit = np.sqrt(np.maximum(noise, 1e-24) * ratio * (1.0 + points * MOTION_ALLOWANCE))
     for axis, rms_px in enumerate(np.sqrt(motion + noise)):
         text = (
-            f"the image moves by {rms_px:.2g} px from frame to frame, all points alike ({name}, {'xy'[axis]}): "
-            "vibration, or a target that is not at rest"
+            f"the image moves by {rms_px:.2g} px from frame to frame, all points alike ({centroids.name}, "
+            f"{'xy'[axis]}): vibration, or a target that is not at rest"
         )
         yield FrameStatistic(value=float(rms_px), limit=float(limit[axis]), text=text)
 
@@ -184,67 +191,65 @@ def _changed(
     if change is None:
         return None
     size = f"{change.size:{format}} ± {change.error:{format.lstrip('+')}}{'' if '%' in format else ' px'}"
-    frame, before = names[change.frame], names[max(change.frame - 1, 0)]
+    frame, previous = names[change.frame], names[max(change.frame - 1, 0)]
     text = {
         "drift": f"{what} drifts by {size} from the first to the last frame of {series}",
         "frame": f"{what} is off by {size} in {frame} alone ({series})",
-        "step": f"{what} jumps by {size} between {before} and {frame} ({series})",
+        "step": f"{what} jumps by {size} between {previous} and {frame} ({series})",
     }[change.kind]
     return FrameStatistic(value=change.size, limit=change.limit, text=text)
 
 
-def _moves(one: SeriesFrames, method: str, tests: int) -> Iterator[FrameStatistic | None]:
-    """Changes of the position of all points together, along x and y."""
-    position = one.points.position_px[method]
-    whole = np.flatnonzero(np.isfinite(position).all((1, 2)))
-    names = [one.origin[number] for number in whole]
+def _moves(centroids: SeriesFrames, method: str, tests: int) -> Iterator[FrameStatistic | None]:
+    """Changes of the mean position of all points, along x and y."""
+    position_px = centroids.points.position_px[method]
+    complete = np.flatnonzero(_complete(position_px))
+    names = [centroids.origin[number] for number in complete]
     for axis in range(2):
-        change = largest_change(position[whole, :, axis].mean(1), false_alarm=FALSE_ALARM / (2 * tests))
-        yield _changed(change, names, one.name, f"the image ({'xy'[axis]})", format="+.3f")
+        change = largest_change(position_px[complete, :, axis].mean(1), false_alarm=FALSE_ALARM / (2 * tests))
+        yield _changed(change, names, centroids.name, f"the image ({'xy'[axis]})", format="+.3f")
 
 
-def _light(one: SeriesFrames, tests: int) -> FrameStatistic | None:
-    change = largest_change(one.light, false_alarm=FALSE_ALARM / tests)
-    return _changed(change, one.origin, one.name, "the light", format="+.1%")
+def _light(centroids: SeriesFrames, tests: int) -> FrameStatistic | None:
+    change = largest_change(centroids.light, false_alarm=FALSE_ALARM / tests)
+    return _changed(change, centroids.origin, centroids.name, "the light", format="+.1%")
 
 
-def _shared(one: FrameSeries, tests: int) -> FrameStatistic | None:
-    """Noise that two frames have in common, copies left out."""
-    kept = _unique(one)
-    pair = common_noise(one.windows.dn[kept], ~one.windows.defect, false_alarm=FALSE_ALARM / tests)
+def _shared(frames: FrameSeries, tests: int) -> FrameStatistic | None:
+    """Noise common to two frames, without copies."""
+    unique = _unique(frames)
+    pair = common_noise(frames.windows.dn[unique], ~frames.windows.defect, false_alarm=FALSE_ALARM / tests)
     if pair is None:
         return None
-    first, second = (one.origin[kept[number]] for number in pair.frames)
-    text = f"the noise of {first} and {second} ({one.name}) is {pair.correlation:.0%} the same"
+    first, second = (frames.origin[unique[number]] for number in pair.frames)
+    text = f"the noise of {first} and {second} ({frames.name}) is {pair.correlation:.0%} the same"
     return FrameStatistic(value=pair.correlation, limit=max(pair.limit, COMMON_NOISE), text=text)
 
 
 def _copied(series: Sequence[FrameSeries]) -> list[str]:
-    """Frames that equal an earlier one: all pixels of any in the folder, or the windows of one of their series."""
-    first: dict[str, str] = {}
+    """Frames that equal an earlier one: in all pixels within the folder, or in the windows within their series."""
+    by_digest: dict[str, str] = {}
     copied = []
-    for one in series:
-        here: dict[bytes, str] = {}
-        for frame, name, digest in zip(one.windows.dn, one.origin, one.digest, strict=True):
-            before = first.setdefault(digest, name), here.setdefault(frame.tobytes(), name)
-            other = next((earlier for earlier in before if earlier != name), None)
-            if other is not None:
-                copied.append(f"{name} = {other}")
+    for frames in series:
+        by_windows: dict[bytes, str] = {}
+        for frame, name, digest in zip(frames.windows.dn, frames.origin, frames.digest, strict=True):
+            equal = by_digest.setdefault(digest, name), by_windows.setdefault(frame.tobytes(), name)
+            copied += [f"{name} = {original}" for original in equal if original != name][:1]
     return copied
 
 
 def _disorder(series: Sequence[FrameSeries]) -> list[str]:
-    """Files of a series that were taken before the one that they follow."""
+    """Files of a series that were taken before the preceding file."""
     disorder = []
-    for one in series:
-        files = list(dict.fromkeys(name.partition("[")[0] for name in one.origin))
-        pairs = zip(files, files[1:], one.taken, one.taken[1:], strict=False)
-        disorder += [f"{later} after {earlier}" for earlier, later, before, after in pairs if after < before]
+    for frames in series:
+        files = dict.fromkeys(name.partition("[")[0] for name in frames.origin)
+        times = zip(pairwise(files), pairwise(frames.taken), strict=False)
+        disorder += [f"{later} after {earlier}" for (earlier, later), (time, next_time) in times if next_time < time]
     return disorder
 
 
 def _unique(series: FrameSeries) -> list[int]:
-    """Numbers of the frames of a series that equal none before them."""
+    """Numbers of the frames of a series without copies of earlier ones."""
     first: dict[bytes, int] = {}
     for number, frame in enumerate(series.windows.dn):
         first.setdefault(frame.tobytes(), number)
@@ -253,32 +258,29 @@ def _unique(series: FrameSeries) -> list[int]:
 
 def _noise_ratio(reduced: Sequence[SeriesFrames], method: str) -> Measured | None:
     """Scatter of the centroids over the noise model, points, axes and series together."""
-    several = [one for one in reduced if one.frames > 1]
-    if not several:
+    repeated = [centroids for centroids in reduced if centroids.frames > 1]
+    if not repeated:
         return None
-    predicted = [one.predicted_px(method).ravel() ** 2 for one in several]
+    predicted = [centroids.predicted_px(method).ravel() ** 2 for centroids in repeated]
+    frames, counts = np.array([centroids.frames for centroids in repeated]), [len(row) for row in predicted]
     ratio, error = scatter_ratio(
-        np.concatenate([one.points.sigma_px(method).ravel() ** 2 for one in several]),
+        np.concatenate([centroids.points.sigma_px(method).ravel() ** 2 for centroids in repeated]),
         np.concatenate(predicted),
-        degrees=np.repeat([one.frames - 1.0 for one in several], [len(row) for row in predicted]),
-        effective_fraction=np.repeat(
-            [one.effective_frames / one.frames for one in several], [len(row) for row in predicted]
-        ),
+        degrees=np.repeat(frames - 1.0, counts),
+        effective_fraction=np.repeat([centroids.effective_frames for centroids in repeated] / frames, counts),
     )
-    samples = sum(one.frames * len(row) // 2 for one, row in zip(several, predicted, strict=True))
-    return Measured(value=ratio, uncertainty=error, n=samples)
+    return Measured(value=ratio, uncertainty=error, n=int(frames @ counts) // 2)
 
 
 def _advice(name: str, outcome: Outcome) -> str:
-    """Words on a check that does not hold: what was found, the likely causes, what to do."""
-    checks: FrameChecks = outcome.result["checks"]
-    return ADVICE[name](checks)
+    """Text on a violated check: result, likely causes, remedy."""
+    return ADVICE[name](outcome.result["checks"])
 
 
 def _exceeded(checks: FrameChecks, name: str) -> str:
-    """Words on a finding beyond its limit; none for less."""
-    finding = checks.findings[name]
-    return finding.text if finding is not None and abs(finding.value) > finding.limit else ""
+    """Text of a statistic beyond its limit, otherwise empty."""
+    statistic = checks.findings[name]
+    return statistic.text if statistic is not None and abs(statistic.value) > statistic.limit else ""
 
 
 def _some(names: Sequence[str]) -> str:
@@ -296,45 +298,43 @@ def _motion(checks: FrameChecks) -> str:
 
 
 def _lag(checks: FrameChecks) -> str:
-    """Words on frames that are no white noise."""
+    """Text on frames with correlated noise."""
     if (checks.lag_correlation or 0.0) < 0:
-        why = "a vibration near half of the frame rate, which N frames average out better than white noise"
+        cause = "a vibration near half of the frame rate, which N frames average out better than white noise"
     else:
-        why = (
+        cause = (
             "drift, air, or a vibration that the frame rate aliases; N frames equal N (1 - r) / (1 + r) "
             "independent ones, as the stated errors assume"
         )
-    return f"{_exceeded(checks, 'lag')}: {why}"
+    return f"{_exceeded(checks, 'lag')}: {cause}"
 
 
-def _gain_words(checks: FrameChecks) -> str:
-    """Words on the motion, which disturbs photon transfer, or on a gain beyond its limit."""
+def _gain_text(checks: FrameChecks) -> str:
+    """Text on the motion, which disturbs photon transfer, or on a gain beyond its limit."""
     gain, ratio, stated = checks.transfer_gain, checks.gain_ratio, checks.stated_gain
-    moves = _motion(checks)
-    if moves or gain is None or ratio is None:
-        return moves
+    motion = _motion(checks)
+    if motion or gain is None or ratio is None:
+        return motion
     noise = two_sided_limit(1, FALSE_ALARM) * (ratio.uncertainty or 0.0)
     if abs(ratio.value - 1.0) <= GAIN_ALLOWANCE + noise:
         return ""
-    words = (
-        f"variance against mean gives {gain.value:.3g} ± {gain.uncertainty:.1g} DN/e⁻, gain_dn_per_e is {stated:.3g}"
-    )
+    text = f"variance against mean gives {gain.value:.3g} ± {gain.uncertainty:.1g} DN/e⁻, gain_dn_per_e is {stated:.3g}"
     if abs(gain.value * stated - 1.0) < 0.3:
-        return f"{words}, the reciprocal: it was given in e⁻/DN"
-    return f"{words}: wrong for this gain setting, or frames were averaged, scaled or smoothed before they were stored"
+        return f"{text}, the reciprocal: it was given in e⁻/DN"
+    return f"{text}: wrong for this gain setting, or frames were averaged, scaled or smoothed before they were stored"
 
 
 def _noise(checks: FrameChecks) -> str:
     ratio = float("nan") if checks.noise_ratio is None else checks.noise_ratio.value
     if checks.copies:
         cause = f"{checks.copies} frames are copies"
-    elif not (cause := _gain_words(checks)):
-        more = (
-            "points scatter more than by photon and read noise (vibration, air, a flickering lamp, or "
-            "read_noise_e is the median of pixels that differ, where the RMS is needed)"
-        )
-        less = "points scatter less than by photon and read noise (frames averaged or smoothed, read_noise_e)"
-        cause = more if ratio > 1.0 else less
+    elif not (cause := _gain_text(checks)):
+        cause = "points scatter less than by photon and read noise (frames averaged or smoothed, read_noise_e)"
+        if ratio > 1.0:
+            cause = (
+                "points scatter more than by photon and read noise (vibration, air, a flickering lamp, or "
+                "read_noise_e is the median of pixels that differ, where the RMS is needed)"
+            )
     return f"the ratio is {ratio:.3g}: {cause}"
 
 
@@ -362,7 +362,7 @@ ADVICE: Mapping[str, Callable[[FrameChecks], str]] = {
     "zero_fraction": lambda _: (
         "noise is clipped at zero: raise the camera's offset; or dark frames were already subtracted"
     ),
-    "gain_ratio": _gain_words,
+    "gain_ratio": _gain_text,
     "common_motion_px": _motion,
     "moved_px": _moved,
     "light_change": lambda c: f"{_exceeded(c, 'light')}: the lamp, the exposure time, or a frame behind another filter",

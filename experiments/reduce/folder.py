@@ -1,7 +1,7 @@
 """Frames from a laboratory: a folder of FITS files with ``frames.toml``, which assigns them.
 
-A series is a number of frames of a target, or a star, at rest: a brightness level (temporal), a position (hsfe), a
-session (distortion), a filter at a place (chromatic), a pose of the table (turntable, fisher). Points are detected in
+A series holds frames of a target, or a star, at rest: a brightness level (temporal), a position (hsfe), a session
+(distortion), a filter at a field position (chromatic), a pose of the table (turntable, fisher). Points are detected in
 the mean frame of each series; windows are cut around them.
 """
 
@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from hashlib import blake2b
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -53,16 +54,16 @@ _COLUMNS = (("x_px", "y_px"), ("tan_x", "tan_y"))
 class FrameSeries:
     """Windows of a series around j points."""
 
-    settings: SeriesSettings  # What the folder says of it
-    windows: WindowStack  # The frames
-    found_px: FloatArray  # (j, 2) Where the points were detected
-    dark_e: FloatArray | None  # (j, h, w) Mean frame with the lamp off, offset included
-    dark_frames: int  # How many are behind it
+    settings: SeriesSettings
+    windows: WindowStack
+    detected_px: FloatArray  # (j, 2) Positions of the points in the mean frame
+    dark_e: FloatArray | None  # (j, h, w) Mean dark frame, offset included
+    dark_frames: int
     response: FloatArray | None  # (j, h, w) The flat, and its standard deviation
     response_error: FloatArray | None  # (j, h, w)
-    origin: tuple[str, ...]  # File of every frame, and its number there where it holds several
+    origin: tuple[str, ...]  # File of every frame, with its number in a file of several
     digest: tuple[str, ...]  # Of all pixels of every frame
-    taken: tuple[str, ...]  # When the files say that they were taken: DATE-OBS or FRAMENUM; () where some do not
+    taken: tuple[str, ...]  # DATE-OBS or FRAMENUM of the files; () if a file has none
 
     @property
     def name(self) -> str:
@@ -72,22 +73,21 @@ class FrameSeries:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameFolder:
-    """A folder as read."""
+    """Content of a folder."""
 
-    settings: FolderSettings  # Its ``frames.toml``
-    width_px: int  # Size of the frames
+    settings: FolderSettings
+    width_px: int
     height_px: int
-    nominal_px: FloatArray | None  # (j, 2) Nominal places of the target points, if stated
-    series: tuple[FrameSeries, ...]  # Ordered by ``position`` where that is given
-    dark_frames: int  # Frames with the lamp off
-    flat: Flat | None = None  # Response of the pixels
-    bad_pixels: int = 0  # Pixels that the map calls bad
+    nominal_px: FloatArray | None  # (j, 2) Stated positions of the target points
+    series: tuple[FrameSeries, ...]  # Ordered by ``position`` if given
+    dark_frames: int
+    flat: Flat | None = None
+    bad_pixels: int = 0  # Number of bad pixels in the map
 
     @property
     def centre_px(self) -> FloatArray:
-        """Middle of the frames, or as stated in the folder."""
-        middle = ((self.width_px - 1) / 2, (self.height_px - 1) / 2)
-        return np.asarray(self.settings.centre_px or middle, float)
+        """Image of tan_x = tan_y = 0: as stated, or the middle of the frames."""
+        return _centre_px(self.settings, (self.width_px, self.height_px))
 
 
 def read_folder(folder: str | Path, *, window_px: int, layout: FolderLayout | None = None) -> FrameFolder:
@@ -95,51 +95,53 @@ def read_folder(folder: str | Path, *, window_px: int, layout: FolderLayout | No
     folder, layout = Path(folder), layout or FolderLayout()
     settings = read_settings(folder)
     layout.check(settings)
-    files = [find_files(folder, one.files, one.name) for one in settings.series]
-    dark_files = [find_files(folder, one.dark or settings.dark, "dark") for one in settings.series]
-    every_dark = list(dict.fromkeys(path for some in dark_files for path in some))
-    flat_files = find_files(folder, settings.flat, "flat")
-    refuse_shared([every_dark, flat_files, *files], ["dark", "flat", *(one.name for one in settings.series)])
+    files = [find_files(folder, part.files, part.name) for part in settings.series]
+    dark_files = [find_files(folder, part.dark or settings.dark, "dark") for part in settings.series]
+    groups = {"dark": list(dict.fromkeys(chain.from_iterable(dark_files)))}
+    groups["flat"] = find_files(folder, settings.flat, "flat")
+    refuse_shared([*groups.values(), *files], [*groups, *(part.name for part in settings.series)])
     reader = FrameReader(settings)
     size_px = reader.size_of(files[0][0])
     bad = bad_pixels(reader, folder, settings)
     flat = mean_flat(reader, folder, settings, bad)
-    nominal, excluded = _nominal_px(folder, settings, size_px), _excluded(size_px, bad, flat)
+    nominal, excluded = _nominal_px(folder, settings, size_px), np.zeros(size_px[::-1], bool)
+    for pixels in (bad, None if flat is None else flat.response.unusable):
+        excluded |= False if pixels is None else pixels
     darks: dict[tuple[Path, ...], FrameGroup] = {}
     filters: dict[str, SeriesSettings] = {}
-    seen: dict[str, FloatArray] = {}
+    references: dict[str, FloatArray] = {}
     corners: dict[str, NDArray[np.int64]] = {}
     series: list[FrameSeries] = []
     for number in _order(settings.series):
-        own = settings.series[number]
-        group = read_group(reader, files[number], own.name)
-        _check_count(own, group.mean.frames, layout.fewest)
-        _check_filter(own, group.band, filters)
+        current = settings.series[number]
+        group = read_group(reader, files[number], current.name)
+        _check_count(current, group.mean.frames, layout.fewest)
+        _check_filter(current, group.band, filters)
         dark = None
         if paths := tuple(dark_files[number]):
             dark = darks.setdefault(paths, darks.get(paths) or read_group(reader, paths, "dark"))
             if not same(dark.exposure_s, group.exposure_s):
                 raise DomainError(
-                    f"{own.name}: exposed {group.exposure_s:g} s, its dark frames {dark.exposure_s:g} s; dark frames "
-                    "must have the exposure time of the frames"
+                    f"{current.name}: exposed {group.exposure_s:g} s, its dark frames {dark.exposure_s:g} s; dark "
+                    "frames must have the exposure time of the frames"
                 )
-        scene = {"all": "", "place": own.place, "none": own.name}[layout.same_scene]
-        found = _find(settings, group, excluded, dark, seen.get(scene, nominal), layout.points)
-        seen.setdefault(scene, found)
+        scene = {"all": "", "place": current.place, "none": current.name}[layout.same_scene]
+        detected = _detected_px(settings, group, excluded, dark, references.get(scene, nominal), layout.points)
+        references.setdefault(scene, detected)
         advice = "move the target, or take a smaller window_px"
-        corner = window_corners(found, window_px, size_px, where=own.name, advice=advice)
-        if layout.same_scene == "place":  # the same pixels behind every filter: their patterns cancel in differences
+        corner = window_corners(detected, window_px, size_px, where=current.name, advice=advice)
+        if layout.same_scene == "place":  # fixed patterns of the same pixels cancel in differences of filters
             corner = corners.setdefault(scene, corner)
         gain = settings.gain_dn_per_e
-        windows, origin, digest = _cut(reader, files[number], own.name, corner, window_px, excluded)
+        windows, origin, digest = _cut(reader, files[number], current.name, corner, window_px, excluded)
         series.append(
             FrameSeries(
-                settings=own,
+                settings=current,
                 windows=windows,
                 origin=origin,
                 digest=digest,
                 taken=_taken(files[number]),
-                found_px=found,
+                detected_px=detected,
                 dark_e=None if dark is None else cut_windows(dark.mean.mean_dn, corner, window_px) / gain,
                 dark_frames=0 if dark is None else dark.mean.frames,
                 response=None if flat is None else cut_windows(flat.response.response, corner, window_px),
@@ -152,7 +154,7 @@ def read_folder(folder: str | Path, *, window_px: int, layout: FolderLayout | No
         height_px=size_px[1],
         nominal_px=nominal,
         series=tuple(series),
-        dark_frames=sum(one.mean.frames for one in darks.values()),
+        dark_frames=sum(dark.mean.frames for dark in darks.values()),
         flat=flat,
         bad_pixels=0 if bad is None else int(bad.sum()),
     )
@@ -171,48 +173,50 @@ def _check_count(settings: SeriesSettings, frames: int, fewest: int) -> None:
         )
 
 
-def _check_filter(own: SeriesSettings, band: str, known: dict[str, SeriesSettings]) -> None:
-    """A filter that the files name stands for one wavelength."""
-    if own.filter_nm is None or not band:
+def _check_filter(settings: SeriesSettings, band: str, filters: dict[str, SeriesSettings]) -> None:
+    """Refuse a FILTER of the files with two wavelengths."""
+    if settings.filter_nm is None or not band:
         return
-    first = known.setdefault(band, own)
-    if first.filter_nm != own.filter_nm:
+    first = filters.setdefault(band, settings)
+    if first.filter_nm != settings.filter_nm:
         raise ConfigError(
-            f"{SETTINGS_FILE}: FILTER = {band!r} in the files of {first.name} and of {own.name}, filter_nm says "
-            f"{first.filter_nm:g} and {own.filter_nm:g}; one of them is in the wrong series"
+            f"{SETTINGS_FILE}: FILTER = {band!r} in the files of {first.name} and of {settings.name}, filter_nm says "
+            f"{first.filter_nm:g} and {settings.filter_nm:g}; one of them is in the wrong series"
         )
 
 
 def _order(series: Sequence[SeriesSettings]) -> list[int]:
-    """Numbers of the series by position; as listed where none is given."""
-    positions = [one.position for one in series]
-    if all(p is None for p in positions):
+    """Numbers of the series by position; as listed without positions."""
+    positions = [settings.position for settings in series if settings.position is not None]
+    if not positions:
         return list(range(len(series)))
-    known = [p for p in positions if p is not None]
-    if len(known) < len(series) or len(set(known)) < len(series):
+    if len(set(positions)) < len(series):
         raise ConfigError(f"{SETTINGS_FILE}: position must be given for every series or none, each number once")
-    return [int(i) for i in np.argsort(known)]
+    return [int(i) for i in np.argsort(positions)]
+
+
+def _centre_px(settings: FolderSettings, size_px: tuple[int, int]) -> FloatArray:
+    return np.asarray(settings.centre_px or [(size - 1) / 2 for size in size_px], float)
 
 
 def _nominal_px(folder: Path, settings: FolderSettings, size_px: tuple[int, int]) -> FloatArray | None:
-    """Nominal places of the points; they must be on the detector."""
+    """Nominal positions of the points, which must be on the detector."""
     width, height = size_px
     if settings.target is not None:
         path = find_files(folder, [settings.target], "target")[0]
         pair, values = _coordinates(path)
         if pair == "tan_x":
-            centre = settings.centre_px or ((width - 1) / 2, (height - 1) / 2)
-            values = np.asarray(centre, float) + values / (settings.pixel_arcsec * ARCSEC_RAD)
+            values = _centre_px(settings, size_px) + values / (settings.pixel_arcsec * ARCSEC_RAD)
     elif settings.points_px:
         values = np.asarray(settings.points_px, float)
     else:
         return None
     off = np.any((values < 0) | (values > np.array([width, height]) - 1), axis=1)
     if off.any():
-        at = values[int(np.argmax(off))]
+        x, y = values[int(np.argmax(off))]
         raise DomainError(
-            f"{int(off.sum())} of {len(values)} target points lie off the detector, e.g. at column {at[0]:.1f}, row "
-            f"{at[1]:.1f} of {width} x {height} px; correct their coordinates, centre_px or pixel_arcsec"
+            f"{int(off.sum())} of {len(values)} target points lie off the detector, e.g. at column {x:.1f}, row "
+            f"{y:.1f} of {width} x {height} px; correct their coordinates, centre_px or pixel_arcsec"
         )
     return values
 
@@ -232,15 +236,7 @@ def _coordinates(path: Path) -> tuple[str, FloatArray]:
     raise ConfigError(f"{path.name}: columns x_px and y_px, or tan_x and tan_y, are needed; it has {list(table)}")
 
 
-def _excluded(size_px: tuple[int, int], bad: NDArray[np.bool_] | None, flat: Flat | None) -> NDArray[np.bool_]:
-    """Pixels (h, w) that no frame may use."""
-    excluded = np.zeros(size_px[::-1], bool)
-    for more in (bad, None if flat is None else flat.response.unusable):
-        excluded |= False if more is None else more
-    return excluded
-
-
-def _find(
+def _detected_px(
     settings: FolderSettings,
     group: FrameGroup,
     excluded: NDArray[np.bool_],
@@ -248,7 +244,7 @@ def _find(
     reference: FloatArray | None,
     points: int | None,
 ) -> FloatArray:
-    """Places (j, 2) of the points in the mean frame of a series."""
+    """Positions (j, 2) of the points in the mean frame of a series."""
     name = group.name
     image = sensor_image(
         group.mean.mean_dn if dark is None else group.mean.mean_dn - dark.mean.mean_dn + settings.offset_dn,
@@ -289,14 +285,14 @@ def _cut(
     window_px: int,
     excluded: NDArray[np.bool_],
 ) -> tuple[WindowStack, tuple[str, ...], tuple[str, ...]]:
-    """Windows of all frames of a series, where each frame stands, and what tells it from all others."""
+    """Windows of all frames of a series, with origin and digest of each frame."""
     s, dn, saturated = reader.settings, [], []
-    held: list[tuple[str, int]] = []
+    sources: list[tuple[str, int]] = []
     digest: list[str] = []
     defect = cut_windows(excluded, corner, window_px)
     exposure_s, band = float("nan"), ""
     for path, frame in reader.frames(files, name):
-        held.append((path.name, frame.index))
+        sources.append((path.name, frame.index))
         digest.append(blake2b(frame.dn.tobytes(), digest_size=16).hexdigest())
         cut = cut_windows(frame.dn, corner, window_px)
         full = cut_windows(frame.saturated, corner, window_px)
@@ -304,8 +300,8 @@ def _cut(
         saturated.append(full if s.saturation_dn is None else full | (cut.astype(float) >= s.saturation_dn))
         defect = defect | cut_windows(frame.defect, corner, window_px)
         exposure_s, band = frame.exposure_s, frame.band
-    several = Counter(file for file, _ in held)
-    origin = [f"{file}[{number}]" if several[file] > 1 else file for file, number in held]
+    frames_of = Counter(file for file, _ in sources)
+    origin = [f"{file}[{number}]" if frames_of[file] > 1 else file for file, number in sources]
     windows = WindowStack(
         dn=np.stack(dn),
         saturated=np.stack(saturated),
@@ -322,9 +318,9 @@ def _cut(
 
 
 def _taken(files: Sequence[Path]) -> tuple[str, ...]:
-    """Text by which files are in the order of their exposure; () where a file does not say, or two say the same."""
+    """Text that sorts files by their exposure; () unless every file has its own."""
     for card in ("DATE-OBS", "FRAMENUM"):
-        said = [image_header(path).get(card) for path in files]
-        if all(isinstance(one, str | int) for one in said) and len(set(said)) == len(said):
-            return tuple(f"{one:012d}" if isinstance(one, int) else str(one) for one in said)
+        values = [image_header(path).get(card) for path in files]
+        if all(isinstance(value, str | int) for value in values) and len(set(values)) == len(values):
+            return tuple(f"{value:012d}" if isinstance(value, int) else str(value) for value in values)
     return ()

@@ -1,8 +1,8 @@
 """Frames of a folder, read one at a time, and their means: dark frames, flats, bad-pixel maps.
 
-As in `ccdproc`: a frame minus the mean dark frame, over the mean flat (minus its own dark, over its mean). The mean
-dark frame keeps the dark noise of a pixel over the number of dark frames, the flat the noise of its pixels over the
-number of flats; both move a centroid equally in every frame of a series.
+As in `ccdproc`: a frame minus the mean dark frame, over the mean flat (dark-subtracted, over its mean). The noise of
+the mean dark frame and of the flat falls with their number of frames; both shift a centroid equally in every frame of
+a series.
 """
 
 from __future__ import annotations
@@ -28,32 +28,32 @@ from render.fits.files import read_frames
 from render.records import Frame
 
 SAME_EXPOSURE = 0.01
-"""Exposure times that differ by less than this part of each other are the same."""
+"""Largest relative difference of equal exposure times."""
 
 
 def find_files(folder: Path, patterns: Sequence[str], name: str) -> list[Path]:
     """Files of patterns in the order of the patterns, each once."""
-    found: dict[Path, None] = {}
+    files: dict[Path, None] = {}
     for pattern in patterns:
         steps = PurePosixPath(pattern)
         if steps.is_absolute() or PureWindowsPath(pattern).drive or ".." in steps.parts or not steps.parts:
             raise ConfigError(f"{SETTINGS_FILE}, {name}: {pattern!r} is not within the folder; name files in it")
-        many = any(sign in pattern for sign in "*?[")
-        here = sorted(folder.glob(pattern), key=_natural) if many else [folder / pattern]
-        if not here or not all(map(os.path.lexists, here)):
+        wildcard = any(sign in pattern for sign in "*?[")
+        matches = sorted(folder.glob(pattern), key=_natural) if wildcard else [folder / pattern]
+        if not matches or not all(map(os.path.lexists, matches)):
             raise ConfigError(f"{SETTINGS_FILE}, {name}: no file {pattern!r} in the folder {folder}")
-        for path in here:
+        for path in matches:
             if not os.path.isfile(path):
                 raise ConfigError(
                     f"{SETTINGS_FILE}, {name}: {path.name}, which {pattern!r} names, is {_kind(path)}; only files "
                     "can be read: remove it or narrow the pattern"
                 )
-        found.update(dict.fromkeys(here))
-    return list(found)
+        files.update(dict.fromkeys(matches))
+    return list(files)
 
 
 def _natural(path: Path) -> list[tuple[int, int, str]]:
-    """Order of names as people count: a_2 before a_10."""
+    """Order of names with numbers: a_2 before a_10."""
     parts = re.findall(r"\d+|\D+", str(path))
     return [(0, int(part), part) if part.isdecimal() else (1, 0, part) for part in parts]
 
@@ -83,9 +83,9 @@ def refuse_shared(groups: Sequence[Sequence[Path]], names: Sequence[str]) -> Non
 class FrameReader:
     """Reads frames one at a time: a series of large frames need not fit into memory."""
 
-    settings: FolderSettings  # Of the folder
-    size_px: tuple[int, int] | None = None  # (int, int) Columns and rows of all its frames; known from the first one on
-    first: str = ""  # Which file that was
+    settings: FolderSettings
+    size_px: tuple[int, int] | None = None  # Columns and rows of all frames, from the first one
+    first: str = ""  # Name of its file
 
     def size_of(self, path: Path) -> tuple[int, int]:
         """Columns and rows of the first frame of a file."""
@@ -93,9 +93,9 @@ class FrameReader:
         return int(frame.dn.shape[1]), int(frame.dn.shape[0])
 
     def frames(self, files: Sequence[Path], name: str) -> Iterator[tuple[Path, Frame]]:
-        """Frames of files and where they stand, planes of cubes and extensions included."""
+        """Frames of files with their paths, planes of cubes and extensions included."""
         s = self.settings
-        before: tuple[Path, Frame] | None = None
+        reference: tuple[Path, Frame] | None = None
         for path in files:
             for frame in read_frames(
                 path, gain_dn_per_e=s.gain_dn_per_e, offset_dn=s.offset_dn, read_noise_e=s.read_noise_e
@@ -108,29 +108,28 @@ class FrameReader:
                         f"{path.name} has {width} x {height} px, {self.first} {self.size_px[0]} x {self.size_px[1]} "
                         "px; all frames of a folder must have one size"
                     )
-                if before is not None:
-                    _refuse_mixed(before, (path, frame), name)
-                before = before or (path, frame)
+                reference = reference or (path, frame)
+                _refuse_mixed(reference, (path, frame), name)
                 yield path, frame
 
 
 def _refuse_mixed(first: tuple[Path, Frame], other: tuple[Path, Frame], name: str) -> None:
-    for label, unit, one, two in (
+    for label, unit, a, b in (
         ("exposure time", " s", first[1].exposure_s, other[1].exposure_s),
         ("filter", "", first[1].band, other[1].band),
     ):
-        if not same(one, two):
+        if not same(a, b):
             raise DomainError(
-                f"{name}: {other[0].name} has the {label} {two}{unit}, {first[0].name} {one}{unit}; a series must "
+                f"{name}: {other[0].name} has the {label} {b}{unit}, {first[0].name} {a}{unit}; a series must "
                 "have a single one"
             )
 
 
-def same(one: float | str, two: float | str) -> bool:
-    """Whether exposure times or filters agree, as far as both are known."""
-    if isinstance(one, str) or isinstance(two, str):
-        return one == two or not one or not two
-    return math.isnan(one) or math.isnan(two) or abs(one - two) <= SAME_EXPOSURE * max(abs(one), abs(two))
+def same(a: float | str, b: float | str) -> bool:
+    """Whether exposure times or filters agree, or one of them is unknown."""
+    if isinstance(a, str) or isinstance(b, str):
+        return a == b or not a or not b
+    return math.isnan(a) or math.isnan(b) or math.isclose(a, b, rel_tol=SAME_EXPOSURE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,10 +138,10 @@ class FrameGroup:
 
     name: str  # For messages
     mean: MeanFrame
-    exposure_s: float  # Exposure time; NaN where unknown
-    band: str  # Filter that the files name
-    defect: NDArray[np.bool_]  # (h, w) Pixels that any of the frames calls so
-    saturated: NDArray[np.bool_]  # (h, w)
+    exposure_s: float  # NaN if unknown
+    band: str  # FILTER of the files
+    defect: NDArray[np.bool_]  # (h, w) In any of the frames
+    saturated: NDArray[np.bool_]  # (h, w) In any of the frames
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -150,8 +149,8 @@ class Flat:
     """The flats of a folder."""
 
     response: FlatResponse
-    frames: int  # Flats
-    transfer: PhotonTransfer | None  # Gain by photon transfer; None of a single flat
+    frames: int
+    transfer: PhotonTransfer | None  # None of a single flat
 
 
 def read_group(reader: FrameReader, files: Sequence[Path], name: str) -> FrameGroup:
@@ -179,14 +178,13 @@ def read_group(reader: FrameReader, files: Sequence[Path], name: str) -> FrameGr
 def mean_flat(
     reader: FrameReader, folder: Path, settings: FolderSettings, bad: NDArray[np.bool_] | None
 ) -> Flat | None:
-    """The flat of a folder; None where there is none."""
+    """The flat of a folder, if any."""
     if not settings.flat:
         return None
     light = read_group(reader, find_files(folder, settings.flat, "flat"), "flat")
-    full = settings.saturation_dn or 65535.0
-    part = float((light.saturated | (light.mean.mean_dn >= full)).mean())
-    if part > 0.01:
-        raise DomainError(f"{SETTINGS_FILE}, flat: {part:.0%} of the pixels are saturated; expose the flats less")
+    fraction = float((light.saturated | (light.mean.mean_dn >= (settings.saturation_dn or 65535.0))).mean())
+    if fraction > 0.01:
+        raise DomainError(f"{SETTINGS_FILE}, flat: {fraction:.0%} of the pixels are saturated; expose the flats less")
     patterns = settings.flat_dark or settings.dark
     noise = NoiseModel(read_noise_e=settings.read_noise_e, gain_dn_per_e=settings.gain_dn_per_e, quantised=True)
     if patterns:
@@ -211,19 +209,15 @@ def mean_flat(
             f"{SETTINGS_FILE}, flat: {response.level_e:.0f} e- above the dark frames, with a read noise of "
             f"{settings.read_noise_e:g} e-; brighter flats are needed"
         )
-    stated = None if dark.frames > 1 else noise.floor_e2 * settings.gain_dn_per_e**2
-    several = light.mean.frames > 1
-    return Flat(
-        response=response,
-        frames=light.mean.frames,
-        transfer=flat_photon_transfer([light.mean], dark, usable=~response.unusable, dark_variance_dn2=stated)
-        if several
-        else None,
-    )
+    transfer = None
+    if light.mean.frames > 1:
+        stated_dn2 = None if dark.frames > 1 else noise.floor_e2 * settings.gain_dn_per_e**2
+        transfer = flat_photon_transfer([light.mean], dark, usable=~response.unusable, dark_variance_dn2=stated_dn2)
+    return Flat(response=response, frames=light.mean.frames, transfer=transfer)
 
 
 def bad_pixels(reader: FrameReader, folder: Path, settings: FolderSettings) -> NDArray[np.bool_] | None:
-    """The bad-pixel map of a folder: a FITS image that is not 0 where a pixel is bad; None where there is none."""
+    """The bad-pixel map of a folder, if any: a FITS image, non-zero at bad pixels."""
     if settings.bad_pixels is None:
         return None
     path = find_files(folder, [settings.bad_pixels], "bad_pixels")[0]

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
 from experiments.harness.config import AngleDeg
@@ -21,7 +20,6 @@ Patterns = Annotated[tuple[str, ...], BeforeValidator(lambda value: (value,) if 
 """File names or patterns; a single one needs no list."""
 
 SETTINGS_FILE = "frames.toml"
-"""Name of the file that describes a folder."""
 
 
 class SeriesSettings(StrictModel):
@@ -128,11 +126,10 @@ class FolderLayout:
     """Requirements of an experiment on a folder."""
 
     needs: tuple[str, ...] = ()  # Keys that every series must have
-    # Which series show the same points, of which the first tells the others where to look: all of them; those with
-    # the same ``place``; none
+    # Series with the same points, whose positions are those of the first: all, of the same ``place``, or none
     same_scene: Literal["all", "place", "none"] = "all"
-    points: int | None = None  # How many points there are, if that is not a matter of the folder
-    fewest: int = 2  # Frames that a series must have
+    points: int | None = None  # Number of points, if not stated in the folder
+    fewest: int = 2  # Fewest frames of a series
 
     def check(self, settings: FolderSettings) -> None:
         """Refuse a folder with missing information."""
@@ -146,10 +143,10 @@ class FolderLayout:
                 f"{SETTINGS_FILE}: points_px and target give the positions of a target at rest; this experiment "
                 "moves it" + ("" if self.points else ", give points, its number")
             )
-        for number, one in enumerate(settings.series, start=1):
-            missing = [key for key in self.needs if getattr(one, key) is None]
+        for series in settings.series:
+            missing = [key for key in self.needs if getattr(series, key) is None]
             if missing:
-                raise ConfigError(f"{SETTINGS_FILE}, {one.name or f'series {number}'}: {missing[0]} is missing")
+                raise ConfigError(f"{SETTINGS_FILE}, {series.name}: {missing[0]} is missing")
 
 
 def read_settings(folder: Path) -> FolderSettings:
@@ -164,41 +161,28 @@ def read_settings(folder: Path) -> FolderSettings:
         if not os.path.isfile(folder / settings.series_table):
             raise ConfigError(f"{SETTINGS_FILE}, series_table: no file {settings.series_table!r} in the folder")
         table = read_table(folder / settings.series_table)
-        rows = [_filled(dict(zip(table, row, strict=True))) for row in zip(*table.values(), strict=True)]
+        rows = [dict(zip(table, row, strict=True)) for row in zip(*table.values(), strict=True)]
         if not rows:
             raise ConfigError(f"{settings.series_table}: no rows; at least one series is needed")
-        series = [
-            parse_model(SeriesSettings, row, f"{settings.series_table}, row {number}")
-            for number, row in enumerate(rows, start=1)
-        ]
-    named = [
-        one.model_copy(update={"name": one.name or f"series {number}"}) for number, one in enumerate(series, start=1)
-    ]
-    names = [one.name for one in named]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise ConfigError(f"{SETTINGS_FILE}: two series have the name {twice!r}; each needs its own")
+        series = []
+        for number, row in enumerate(rows, start=1):  # names may look like numbers
+            cells = {key: str(value) if key in ("name", "place") else value for key, value in row.items()}
+            cells = {key: value for key, value in cells.items() if row[key] is not None}
+            series.append(parse_model(SeriesSettings, cells, f"{settings.series_table}, row {number}"))
+    names = [part.name or f"series {number}" for number, part in enumerate(series, start=1)]
+    for name in names:
+        if names.count(name) > 1:
+            raise ConfigError(f"{SETTINGS_FILE}: two series have the name {name!r}; each needs its own")
+    named = (part.model_copy(update={"name": name}) for part, name in zip(series, names, strict=True))
     return settings.model_copy(update={"series": tuple(named)})
 
 
 def read_table(path: Path) -> dict[str, list[Any]]:
-    """Columns of a CSV or ECSV file by name, empty cells left out of what a row says."""
+    """Columns of a CSV or ECSV file by name; None for empty cells."""
     from astropy.table import Table
 
     try:
         table = Table.read(path, format="ascii.ecsv" if path.suffix == ".ecsv" else "ascii.csv")
-    except Exception as error:  # astropy raises many kinds for broken tables
+    except Exception as error:  # astropy raises errors of many classes
         raise ConfigError(f"{path.name}: not a readable table ({' '.join(str(error).split())[:160]})") from None
-    return {name: [_plain(value) for value in table[name]] for name in table.colnames}
-
-
-def _filled(row: dict[str, Any]) -> dict[str, Any]:
-    """A row without its empty cells; a name may look like a number."""
-    return {key: str(value) if key in ("name", "place") else value for key, value in row.items() if value is not None}
-
-
-def _plain(value: Any) -> Any:
-    """A cell as Python has it; None for an empty one."""
-    if np.ma.is_masked(value):
-        return None
-    return value.item() if isinstance(value, np.generic) else value
+    return {name: table[name].tolist() for name in table.colnames}

@@ -18,7 +18,6 @@ from experiments.harness.experiment import Experiment
 from experiments.harness.progress import Progress
 from experiments.harness.quantities import Outcome, Quantities, Quantity, positions
 from experiments.harness.sections import Section, above, col, judged
-from experiments.harness.summary import Measured
 from experiments.laboratory.bench.centroid_methods import MethodLabels, needs_epsf
 from experiments.reduce.checks import CHECKS, check_frames
 from experiments.reduce.folder import FrameFolder, read_folder
@@ -27,7 +26,6 @@ from experiments.reduce.series import SeriesFrames
 from optics.arrays import FloatArray
 from optics.errors import ConfigError
 
-Errors = Sequence[Sequence[Measured]]
 Reduced = tuple[Sequence[SeriesFrames], Mapping[str, Any]]
 
 
@@ -36,37 +34,46 @@ class FramesTest:
     """Reduction of own frames by a method."""
 
     title: str  # Of the report
-    layout: FolderLayout  # What it asks of a folder
-    # ``reduce(folder, methods, config)``: centroids of the series, records of the method's own sections
+    layout: FolderLayout  # Requirements on a folder
+    # ``reduce(folder, methods, config)``: centroids of the series, records of the sections of the method
     reduce: Callable[[FrameFolder, Sequence[str], Any], Reduced]
-    sections: Mapping[str, Section]  # The method's own
+    sections: Mapping[str, Section]
     # Numbers at the head of the report: label -> (quantity, coordinates or positions along some dimensions)
     head: Mapping[str, tuple[str, Mapping[str, Any]]]
     captions: Mapping[str, str] = field(default_factory=dict)  # Of its figures, by name
-    series: str = "Series"  # What readers call a series
+    series: str = "Series"  # Axis label
 
     def run(self, config: Any, *, progress: Progress) -> dict[str, Any]:
         """Read the folder of the configuration, centroid its frames, reduce and judge them."""
         with progress.stage("read"):
             folder = read_folder(config.own_frames, window_px=config.window_px, layout=self.layout)
-        first = () if folder.settings.centroid is None else (folder.settings.centroid,)
-        wanted = (*first, *getattr(config, "methods", ("gaussian",)))
-        methods = tuple(dict.fromkeys(one for one in wanted if not needs_epsf(one)))
+        main = () if folder.settings.centroid is None else (folder.settings.centroid,)
+        requested = dict.fromkeys((*main, *getattr(config, "methods", ("gaussian",))))
+        methods = tuple(method for method in requested if not needs_epsf(method))
         if not methods:
             raise ConfigError("own frames have no PSF: use a centroid other than epsf, e.g. gaussian")
         with progress.stage("reduce"):
-            series, own = self.reduce(folder, methods, config)
+            series, records = self.reduce(folder, methods, config)
         with progress.stage("check"):
             checks = check_frames(folder, series, methods[0])
         return {
             "folder": folder_record(self, folder, series, methods),
-            "series": [series_record(one) for one in series],
+            "series": [
+                Series(
+                    series_name=centroids.name,
+                    frames=centroids.frames,
+                    effective_frames=centroids.effective_frames,
+                    signal_e=centroids.signal_e,
+                    usable_fraction=centroids.usable_fraction,
+                )
+                for centroids in series
+            ],
             "checks": checks,
-            **own,
+            **records,
         }
 
     def experiment(self, rendered: Experiment) -> Experiment:
-        """The experiment that takes over from one on rendered frames."""
+        """The experiment on own frames in place of rendered ones."""
         return Experiment(
             name=rendered.name,
             config=rendered.config,
@@ -79,34 +86,34 @@ class FramesTest:
         )
 
     def parts(self, result: Mapping[str, Any]) -> dict[str, Section]:
-        """Common sections and its own; limits of the sample are stated below its first table."""
-        own = dict(self.sections)
-        chief = next(name for name, one in own.items() if one.table_name(name))
-        said = result["folder"].few_text if "folder" in result else ""
-        if said:
-            own[chief] = replace(own[chief], note=f"{said} {own[chief].note}".strip())
-        return {**COMMON, **own}
+        """Common sections and its own, whose first table has a note on short series."""
+        sections = dict(self.sections)
+        main = next(name for name, section in sections.items() if section.table_name(name))
+        if "folder" in result and (remark := result["folder"].few_text):
+            sections[main] = replace(sections[main], note=f"{remark} {sections[main].note}".strip())
+        return {**COMMON, **sections}
 
     def wrong(self, outcome: Outcome) -> list[str]:
         """Faults, each cause once: advice of the criteria that do not hold, or their names."""
-        causes = [one.advice or one.name for one in judged(self.parts(outcome.result), outcome) if one.failed]
-        return [one for n, one in enumerate(causes) if not any(known in one for known in causes[:n])]
+        criteria = judged(self.parts(outcome.result), outcome)
+        causes = [criterion.advice or criterion.name for criterion in criteria if criterion.failed]
+        return [cause for n, cause in enumerate(causes) if not any(earlier in cause for earlier in causes[:n])]
 
     @property
     def tables(self) -> list[str]:
-        """Names of its own tables, the chief one first."""
-        return [title for name, one in self.sections.items() if (title := one.table_name(name))]
+        """Names of the tables of its sections, the main one first."""
+        return [title for name, section in self.sections.items() if (title := section.table_name(name))]
 
     def headline(self, outcome: Outcome) -> dict[str, Quantity]:
-        """Label -> number, for the head of the report; further dimensions are spread."""
+        """Label -> number, for the head of the report, one for each element of the other dimensions."""
         numbers = {}
-        for label, (name, at) in self.head.items():
-            named = {dim: key for dim, key in at.items() if isinstance(key, str)}
-            placed = {dim: key for dim, key in at.items() if not isinstance(key, str)}
-            whole = outcome.quantity(name, **named).at(**placed)
-            for where in positions(dict(zip(whole.dims, whole.values.shape, strict=True)), whole.dims):
-                words = [outcome.names(dim)[place] for dim, place in where.items()]
-                numbers[", ".join([label, *words])] = whole.at(**where)
+        for label, (name, selection) in self.head.items():
+            named = {dim: key for dim, key in selection.items() if isinstance(key, str)}
+            indexed = {dim: key for dim, key in selection.items() if not isinstance(key, str)}
+            quantity = outcome.quantity(name, **named).at(**indexed)
+            for index in positions(dict(zip(quantity.dims, quantity.values.shape, strict=True)), quantity.dims):
+                names = [outcome.names(dim)[number] for dim, number in index.items()]
+                numbers[", ".join([label, *names])] = quantity.at(**index)
         return numbers
 
 
@@ -115,7 +122,7 @@ class Folder:
     """Contents of the folder, and treatment of its frames."""
 
     test: FramesTest
-    methods: Sequence[str]  # Centroiders, the one that counts first
+    methods: Sequence[str]  # Centroiders, the main one first
     names: Sequence[str]  # Of the series
     source: str = col("Source", default="frames")
     points: int = col("Points")
@@ -127,7 +134,7 @@ class Folder:
     fewest_frames: int = col("Frames of the shortest series")
     few_text: str = col("Remarks on the frames", json="few_frames", shown=False)  # "" where they are enough
     prnu_fraction: float = col("Stated residual PRNU", json="")
-    # Where there are no flats
+    # Without flats
     percent_px: float | None = col(
         "Shift by a PRNU of 1 %", "px", ".4f", json="without_flat.one_percent_moves_px", default=None
     )
@@ -156,14 +163,14 @@ def folder_record(
     test: FramesTest, folder: FrameFolder, series: Sequence[SeriesFrames], methods: Sequence[str]
 ) -> Folder:
     """Numbers of a folder; the effect of a missing flat is the largest over the series."""
-    flat, percent = folder.flat, np.array([one.percent_px for one in series])
-    shortest = min(series, key=lambda one: one.frames)
-    noise = np.array([np.sqrt((one.predicted_px(methods[0]) ** 2).mean() / one.effective_frames) for one in series])
+    flat, percent = folder.flat, np.array([centroids.percent_px for centroids in series])
+    shortest = min(series, key=lambda centroids: centroids.frames)
+    variance = [(centroids.predicted_px(methods[0]) ** 2).mean() / centroids.effective_frames for centroids in series]
     return Folder(
         test=test,
         methods=methods,
-        names=[one.name for one in series],
-        points=len(folder.series[0].found_px),
+        names=[centroids.name for centroids in series],
+        points=len(folder.series[0].detected_px),
         dark_frames=folder.dark_frames,
         flat_frames=0 if flat is None else flat.frames,
         bad_pixels=folder.bad_pixels,
@@ -173,7 +180,7 @@ def folder_record(
         few_text=_few(test, shortest),
         prnu_fraction=folder.settings.prnu_fraction,
         percent_px=float(percent.max()) if flat is None else None,
-        percent_over_noise=float((percent / noise).max()) if flat is None else None,
+        percent_over_noise=float((percent / np.sqrt(variance)).max()) if flat is None else None,
     )
 
 
@@ -192,17 +199,6 @@ class Series:
     effective_frames: float = col("Independent", format=".1f")
     signal_e: float = col("Signal", "e-", ".0f")
     usable_fraction: float = col("Usable", format=".3f")
-
-
-def series_record(one: SeriesFrames) -> Series:
-    """Numbers of a series."""
-    return Series(
-        series_name=one.name,
-        frames=one.frames,
-        effective_frames=one.effective_frames,
-        signal_e=one.signal_e,
-        usable_fraction=one.usable_fraction,
-    )
 
 
 COMMON = {
@@ -243,11 +239,12 @@ class Cloud:
 
 def points_of(folder: FrameFolder, series: SeriesFrames, method: str) -> dict[str, Any]:
     """Records of the sections `POINTS`."""
-    place, points = series.points.position_px[method], series.points
+    points, position_px = series.points, series.points.position_px[method]
     rows = zip(points.mean_px(method), points.sigma_px(method), strict=True)
+    deviation_px = position_px - np.nanmean(position_px, axis=0)
     return {
         "points": [TargetPoint(mean_px=mean, sigma_px=sigma) for mean, sigma in rows],
-        "cloud": Cloud(apart_arcsec=folder.settings.pixel_arcsec * (place - np.nanmean(place, axis=0))),
+        "cloud": Cloud(apart_arcsec=folder.settings.pixel_arcsec * deviation_px),
     }
 
 

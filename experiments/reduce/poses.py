@@ -40,7 +40,7 @@ KEYS = {2: ("outer_deg", "inner_deg"), 3: ("outer_deg", "middle_deg", "inner_deg
 LEAST_COVERAGE = 0.5
 FIT_ALARM = 6.334e-5  # 4 sigma
 MAP_PX = 15
-"""Places along a side of the detector over which the error of the map is averaged."""
+"""Grid points along a side of the detector for the mean error of the map."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,7 +49,7 @@ class PoseCalibration:
 
     series: tuple[SeriesFrames, ...]  # Poses
     data: PoseData  # Images and readings
-    calibration: Calibration  # As the estimator gives it; axes that lean are unknowns
+    calibration: Calibration  # As estimated; inclinations of the axes are unknowns
     bench: StarBench  # Table, star and installation as calibrated
 
     @property
@@ -59,7 +59,7 @@ class PoseCalibration:
 
     @property
     def coverage(self) -> float:
-        """Part of the detector's width or height that the images span, the smaller."""
+        """Fraction of the detector's width or height spanned by the images, the smaller."""
         geometry = self.calibration.model.geometry
         return float((np.ptp(self.data.pixel_px, axis=0) / [geometry.width_px, geometry.height_px]).min())
 
@@ -74,13 +74,21 @@ class PoseCalibration:
 
 
 def calibrate_poses(folder: FrameFolder, methods: Sequence[str], use: Sequence[str]) -> PoseCalibration:
-    """Joint calibration from those series of a folder that have one of the uses."""
+    """Joint calibration from the series of a folder with one of the uses."""
     s = folder.settings
-    table = _believed_table(folder)
-    series = tuple(reduce_series(folder, one, methods[:1]) for one in folder.series if one.settings.use in use)
+    if s.table is None or s.pixel_pitch_um is None:
+        missing = "[table]" if s.table is None else "pixel_pitch_um"
+        raise ConfigError(f"{SETTINGS_FILE}: {missing} is missing; poses need both [table] and pixel_pitch_um")
+    noise = s.table.reading_noise_arcsec
+    table = TableAxes.create(s.table.axes, reading_noise_arcsec=noise)
+    for pose in s.series:
+        if (pose.middle_deg is not None) != (len(table.axis) == 3):
+            raise ConfigError(
+                f"{SETTINGS_FILE}, {pose.name}: axes = {s.table.axes!r} has {len(table.axis)} axes, a pose then has "
+                f"the readings {', '.join(KEYS[len(table.axis)])}"
+            )
+    series = tuple(reduce_series(folder, frames, methods[:1]) for frames in folder.series if frames.settings.use in use)
     check_count(len(series), table, advice="give more poses")
-    assert s.pixel_pitch_um is not None
-    assert s.table is not None
     pitch_mm = s.pixel_pitch_um * 1e-3
     geometry = SensorGeometry(width_px=folder.width_px, height_px=folder.height_px, pixel_pitch_mm=pitch_mm)
     start = BrownConrady.create(geometry, focal_length_mm=pitch_mm / np.tan(s.pixel_arcsec * ARCSEC_RAD))
@@ -98,30 +106,13 @@ def calibrate_poses(folder: FrameFolder, methods: Sequence[str], use: Sequence[s
     )
 
 
-def _believed_table(folder: FrameFolder) -> TableAxes:
-    s = folder.settings
-    if s.table is None or s.pixel_pitch_um is None:
-        missing = "[table]" if s.table is None else "pixel_pitch_um"
-        raise ConfigError(f"{SETTINGS_FILE}: {missing} is missing; poses need both [table] and pixel_pitch_um")
-    noise = s.table.reading_noise_arcsec
-    table = TableAxes.create(s.table.axes, reading_noise_arcsec=noise)
-    third = [one for one in s.series if (one.middle_deg is not None) != (len(table.axis) == 3)]
-    if third:
-        raise ConfigError(
-            f"{SETTINGS_FILE}, {third[0].name}: axes = {s.table.axes!r} has {len(table.axis)} axes, a pose then has "
-            f"the readings {', '.join(KEYS[len(table.axis)])}"
-        )
-    return table
-
-
 def pose_data(series: Sequence[SeriesFrames], table: TableAxes, method: str) -> PoseData:
     """Mean images with their covariance, and readings, of poses."""
     keys = KEYS[len(table.axis)]
-    position = [np.nanmean(one.points.position_px[method], axis=0)[0] for one in series]
     return PoseData(
-        pixel_px=np.array(position),
-        covariance_px2=np.array([one.mean_covariance_px2(method)[0] for one in series]),
-        reading_rad=np.radians([[getattr(one.settings, key) for key in keys] for one in series]),
+        pixel_px=np.array([np.nanmean(pose.points.position_px[method], axis=0)[0] for pose in series]),
+        covariance_px2=np.array([pose.mean_covariance_px2(method)[0] for pose in series]),
+        reading_rad=np.radians([[getattr(pose.settings, key) for key in keys] for pose in series]),
     )
 
 

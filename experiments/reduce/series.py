@@ -14,7 +14,6 @@ from calib.measure.centroid_error.linear_response import centroid_covariance, li
 from calib.measure.centroiding.registry import get_centroider
 from calib.measure.reduced_windows import dark_subtracted, refuse_saturated, ring_subtracted
 from calib.measure.statistics.frame_positions import measured_positions
-from calib.records import NoiseModel, Stamps
 from experiments.laboratory.bench.point_bench import refuse_few_frames
 from experiments.laboratory.bench.points import PointFrames
 from experiments.reduce.folder import FrameFolder, FrameSeries
@@ -28,37 +27,37 @@ _SATURATED = (
 
 
 FALSE_ALARM = 1e-3
-"""Probability that a check objects to frames that are as they should be."""
+"""Probability that a check refuses correct frames."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameStatistic:
-    """What a check found in the frames of a series."""
+    """Statistic of a check of the frames of a series."""
 
     value: float
-    limit: float  # Of its size, which noise reaches with the stated false alarm
-    text: str  # What and where, in words
+    limit: float  # Of its magnitude, exceeded by noise with the probability of a false alarm
+    text: str  # Fault and frames, in words
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeriesFrames:
     """Centroids of a series of N frames of j points."""
 
-    settings: SeriesSettings  # What the folder says of it
+    settings: SeriesSettings
     frames: int  # N
-    signal_e: float  # Mean electrons in a window, background taken away
+    signal_e: float  # Mean electrons in a window above the background
     points: PointFrames  # Centroids by method, and the windows
-    mean_e: FloatArray  # (j, h, w) Mean windows as centroided, background included where no dark frames were given
-    # (j, 2, 2) Of the centroid of one frame, by method: what photons, read noise, rounding and the dark charge seen
-    # in the frames with the lamp off give, through the influence of each pixel of the mean windows
+    mean_e: FloatArray  # (j, h, w) Mean windows as centroided, with the background if there are no dark frames
+    # (j, 2, 2) Of the centroid of a frame, by method: photon noise, read noise, rounding and dark charge, through the
+    # linear response to each pixel of the mean windows
     frame_covariance_px2: Mapping[str, FloatArray]
-    # (j, 2, h, w) By how much what is the same in all frames moves the first method's centroids, pixel by pixel, one
-    # standard deviation: noise of the mean dark frame and of the flat, and the response that no flat removes
+    # (j, 2, h, w) Shift of the first method's centroids by one standard deviation of each pixel's fixed pattern: noise
+    # of the mean dark frame and of the flat, and the response that no flat removes
     pattern_px: FloatArray
     origin: tuple[str, ...]  # File of every frame
     lags: tuple[FrameStatistic, ...]  # Correlation of the first method's centroids from frame to frame
     light: FloatArray  # (f,) Light of every frame over the mean, all points together
-    percent_px: float  # RMS over points and axes of what a response that differs by 1 % from pixel to pixel moves them
+    percent_px: float  # RMS shift over points and axes by a pixel response with a standard deviation of 1 %
 
     @property
     def name(self) -> str:
@@ -67,35 +66,34 @@ class SeriesFrames:
 
     @property
     def exposure_s(self) -> float:
-        """Exposure time; NaN where the files do not say."""
+        """Exposure time; NaN if unknown."""
         return self.points.windows.exposure_s
 
     @property
     def light_per_s(self) -> float:
-        """Electrons per point and second, at least 1e-3; per frame where the exposure time is not known."""
+        """Electrons per point and second, at least 1e-3; per frame if the exposure time is unknown."""
         return max(self.signal_e, 1e-3) / (self.exposure_s if self.exposure_s > 0 else 1.0)
 
     @property
     def usable_fraction(self) -> float:
-        """Smallest share over points and methods of frames that gave a position."""
+        """Fraction of frames with a position, smallest over points and methods."""
         return float(min(np.isfinite(p[..., 0]).mean(0).min() for p in self.points.position_px.values()))
 
     @property
     def effective_frames(self) -> float:
-        """Independent frames whose mean is as good; N where the frames show no correlation."""
-        return effective_frames(
-            self.frames, max((one.value for one in self.lags if one.value > one.limit), default=0.0)
-        )
+        """Number of independent frames with the same error of the mean; N without significant correlation."""
+        significant = [lag.value for lag in self.lags if lag.value > lag.limit]
+        return effective_frames(self.frames, max(significant, default=0.0))
 
     def predicted_px(self, method: str) -> FloatArray:
         """Standard deviation (j, 2) of a frame's centroid by the noise model."""
         return np.sqrt(np.diagonal(self.frame_covariance_px2[method], axis1=1, axis2=2))
 
     def widening(self, method: str) -> float:
-        """Factor of the error of a scatter: frames that are correlated, and motion that points have in common."""
+        """Factor of the error of a scatter due to correlated frames and common motion of the points."""
         position = self.points.position_px[method]
-        alike = common_part(position[np.isfinite(position).all((1, 2))])
-        return float(np.sqrt(self.frames / self.effective_frames * (1.0 + (position.shape[1] - 1) * alike)))
+        common = common_part(position[np.isfinite(position).all((1, 2))])
+        return float(np.sqrt(self.frames / self.effective_frames * (1.0 + (position.shape[1] - 1) * common)))
 
     def mean_covariance_px2(self, method: str) -> FloatArray:
         """Covariance (j, 2, 2) of the mean over the frames, dark frames and flat included; of the first method."""
@@ -107,9 +105,12 @@ def reduce_series(
     folder: FrameFolder, series: FrameSeries, methods: Sequence[str], *, every_model: bool = False
 ) -> SeriesFrames:
     """Centroids of a series and their noise."""
-    stamps, noise = _stamps(series)
+    if series.dark_e is None:
+        stamps, noise = ring_subtracted(series.windows, series.detected_px, response=series.response)
+    else:
+        stamps, noise = dark_subtracted(series.windows, series.dark_e, response=series.response)
     frames = len(series.windows.dn)
-    refuse_saturated(stamps, len(series.found_px), where=f"{series.name}, target points", advice=_SATURATED)
+    refuse_saturated(stamps, len(series.detected_px), where=f"{series.name}, target points", advice=_SATURATED)
     position = {m: measured_positions(get_centroider(m), stamps, noise, frames) for m in methods}
     if frames > 1:
         for method, values in position.items():
@@ -126,14 +127,14 @@ def reduce_series(
         response_error=series.response_error,
         prnu=folder.settings.prnu_fraction,
     )
-    one = stamps.select(slice(0, len(mean)))
+    first_stamps = stamps.select(slice(0, len(mean)))
     modelled = methods if every_model else methods[:1]
-    gain = {m: linear_response(tight(get_centroider(m)), one, noise, mean) for m in modelled}
+    gain = {m: linear_response(tight(get_centroider(m)), first_stamps, noise, mean) for m in modelled}
     return SeriesFrames(
         settings=series.settings,
         frames=frames,
         signal_e=float(np.where(series.windows.defect, 0.0, light).sum((1, 2)).mean()),
-        points=PointFrames(position_px=position, windows=series.windows, stamps=one, noise=noise),
+        points=PointFrames(position_px=position, windows=series.windows, stamps=first_stamps, noise=noise),
         mean_e=mean,
         frame_covariance_px2={m: centroid_covariance(gain[m], temporal_e2) for m in modelled},
         pattern_px=gain[methods[0]] * np.sqrt(fixed_e2)[:, None],
@@ -151,27 +152,21 @@ def _light(frames_e: FloatArray, mean_e: FloatArray, usable: NDArray[np.bool_]) 
 
 
 def _lags(position_px: FloatArray, series: str, *, tests: int) -> tuple[FrameStatistic, ...]:
-    """Correlations of centroids (f, j, 2) of a series, one of ``tests``: of all points together, x and y, and apart."""
-    whole = position_px[np.isfinite(position_px).all((1, 2))]
-    common = whole.mean(1)
-    apart = (whole - common[:, None]).reshape(len(whole), -1)
-    findings = []
-    for what, values, independent in (
+    """Correlations of centroids (f, j, 2) of one of ``tests`` series: common motion in x and y, and relative motion."""
+    complete = position_px[np.isfinite(position_px).all((1, 2))]
+    common = complete.mean(1)
+    relative = (complete - common[:, None]).reshape(len(complete), -1)
+    statistics = []
+    for motion, values, independent in (
         ("x of all points", common[:, :1], 1),
         ("y of all points", common[:, 1:], 1),
-        ("the points' own motion", apart, 2 * (whole.shape[1] - 1)),
+        ("the points' own motion", relative, 2 * (complete.shape[1] - 1)),
     ):
         lag = lag_one(values, independent=independent, false_alarm=FALSE_ALARM / (3 * tests))
         if lag is not None:
             text = (
-                f"frames of {series} are not independent: {what}, correlation {lag.correlation:+.2f} with the next "
+                f"frames of {series} are not independent: {motion}, correlation {lag.correlation:+.2f} with the next "
                 "frame"
             )
-            findings.append(FrameStatistic(value=lag.correlation, limit=lag.limit, text=text))
-    return tuple(findings)
-
-
-def _stamps(series: FrameSeries) -> tuple[Stamps, NoiseModel]:
-    if series.dark_e is None:
-        return ring_subtracted(series.windows, series.found_px, response=series.response)
-    return dark_subtracted(series.windows, series.dark_e, response=series.response)
+            statistics.append(FrameStatistic(value=lag.correlation, limit=lag.limit, text=text))
+    return tuple(statistics)

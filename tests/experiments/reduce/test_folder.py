@@ -210,7 +210,7 @@ def test_what_a_pattern_names_is_read_or_refused(folder):
 
 def test_a_star_at_the_edge_is_refused(folder):
     (folder / "frames.toml").write_text(HEAD + "points = 1\n" + ONE)
-    assert len(read_folder(folder, window_px=9).series[0].found_px) == 1
+    assert len(read_folder(folder, window_px=9).series[0].detected_px) == 1
     with pytest.raises(DomainError, match="1 of 1 windows of 71 px leave the detector"):
         read_folder(folder, window_px=71)
 
