@@ -7,6 +7,7 @@ from typing import Any
 from weakref import ref
 
 from optics.arrays import FloatArray
+from optics.rays.trace import Rays
 from render.engine.jit import dr
 from render.engine.upload import uploaded
 
@@ -22,25 +23,10 @@ class DrJitArrays:
         self.float_type = float_type
         self._tables: dict[int, tuple[ref[FloatArray], Any]] = {}
 
-    @staticmethod
-    def sqrt(value: Any) -> Any:
-        """Elementwise square root."""
-        return dr.sqrt(value)
-
-    @staticmethod
-    def where(mask: Any, if_true: Any, if_false: Any) -> Any:
-        """Elementwise selection."""
-        return dr.select(mask, if_true, if_false)
-
-    @staticmethod
-    def maximum(value: Any, other: Any) -> Any:
-        """Elementwise maximum."""
-        return dr.maximum(value, other)
-
-    @staticmethod
-    def minimum(value: Any, other: Any) -> Any:
-        """Elementwise minimum."""
-        return dr.minimum(value, other)
+    sqrt = staticmethod(dr.sqrt)
+    where = staticmethod(dr.select)
+    maximum = staticmethod(dr.maximum)
+    minimum = staticmethod(dr.minimum)
 
     @staticmethod
     def whole(value: Any) -> Any:
@@ -49,15 +35,25 @@ class DrJitArrays:
 
     def table(self, values: FloatArray) -> Any:
         """The constants, flat; uploaded once for as long as they live."""
-        held = self._tables.get(id(values))
-        if held is None or held[0]() is not values:
-            flat, key = uploaded(self.float_type, values), id(values)
-            self._tables[key] = held = (ref(values, lambda _: self._tables.pop(key, None)), flat)
-        return held[1]
+        key = id(values)
+        source, flat = self._tables.get(key, (None, None))
+        if source is None or source() is not values:
+            flat = uploaded(self.float_type, values)
+            self._tables[key] = ref(values, lambda _: self._tables.pop(key, None)), flat
+        return flat
 
     def take(self, table: Any, index: Any) -> Any:
         """Elements of the table."""
         return dr.gather(self.float_type, table, dr.uint32_array_t(type(index))(index))
+
+    def rays(self, position: Sequence[Any], direction: Sequence[Any], wavelength_nm: Any, width: int = 1) -> Rays:
+        """Rays without a path and a fate yet."""
+        status = dr.zeros(dr.int32_array_t(self.float_type), width)
+        (x, y, z), (dx, dy, dz) = position, direction
+        return Rays(
+            x=x, y=y, z=z, dx=dx, dy=dy, dz=dz, wavelength_nm=wavelength_nm,
+            opl_mm=self.float_type(0.0), status=status, failed_at=status - 1,
+        )  # fmt: skip
 
     def parameters(self, theta: Iterable[float]) -> Sequence[Any]:
         """Lens parameters as evaluated arrays of size one."""

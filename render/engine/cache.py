@@ -47,8 +47,8 @@ def _temporary() -> Path:
     try:
         folder = Path(tempfile.gettempdir()) / f"starbench-{os.getuid()}"
         folder.mkdir(mode=0o700, exist_ok=True)
-        found = folder.lstat()
-        if stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o022:
+        status = folder.lstat()
+        if stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022:
             return folder
         return Path(tempfile.mkdtemp(prefix="starbench-"))
     except OSError as error:

@@ -130,8 +130,8 @@ class Engine:
             raise BackendError(f"Mitsuba cannot be loaded ({reason}); pip install 'mitsuba==3.9.0'") from None
         if mi.variant() != self.variant:
             if self.variant not in mi.variants():
-                known = ", ".join(sorted(name for name in mi.variants() if name.startswith(self.backend)))
-                raise BackendError(f"Mitsuba has no variant {self.variant!r}; it has {known}")
+                variants = ", ".join(sorted(name for name in mi.variants() if name.startswith(self.backend)))
+                raise BackendError(f"Mitsuba has no variant {self.variant!r}; it has {variants}")
             mi.set_variant(self.variant)
         return mi
 
@@ -151,12 +151,12 @@ def _usable(backend: str) -> str:
     """``llvm`` or ``cuda``, as requested, after a check that it works here; ``drjit.llvm`` can be imported then."""
     if backend not in BACKENDS:
         raise BackendError(f"backend = {backend!r} does not exist; choose one of {', '.join(BACKENDS)}")
-    from render.engine.jit import SAID, dr
+    from render.engine.jit import STDERR, dr
 
     has_gpu = bool(dr.has_backend(dr.JitBackend.CUDA))
     if backend == "cuda" and not has_gpu:
         raise BackendError("backend 'cuda' is not available: no NVIDIA GPU or driver was found; use backend 'llvm'")
     if backend == "cuda" or (backend == "auto" and has_gpu):
         return "cuda"
-    check_llvm(dr.detail.llvm_version(), version("drjit"), said=SAID)
+    check_llvm(dr.detail.llvm_version(), version("drjit"), printed=STDERR)
     return "llvm"

@@ -27,17 +27,17 @@ def _loaded() -> tuple[Any, str]:
         return sys.modules["drjit"], ""
     point_to_llvm()
     try:
-        with home_with_cache(), _caught_stderr() as said:
+        with home_with_cache(), _caught_stderr() as stderr:
             module = importlib.import_module("drjit")
     except (ImportError, NameError) as error:  # NameError: drjit 1.4.0 fails over its own message
         raise BackendError(_why_not(error)) from None
-    return module, "".join(said)
+    return module, "".join(stderr)
 
 
 def _why_not(error: Exception) -> str:
     """Why Dr.Jit cannot be loaded, and what to do."""
-    found = error.__cause__ or error.__context__ or error
-    reason = (str(found).splitlines() or ["no reason given"])[0]
+    cause = error.__cause__ or error.__context__ or error
+    reason = (str(cause).splitlines() or ["no reason given"])[0]
     missing = re.match(r"(lib[\w+-]+)\.so\.(\d+): cannot open", reason)
     advice = f"apt-get install {missing[1]}{missing[2]}" if missing else "pip install 'drjit==1.4.0'"
     return f"Dr.Jit cannot be loaded ({reason}); {advice}"
@@ -46,26 +46,26 @@ def _why_not(error: Exception) -> str:
 @contextmanager
 def _caught_stderr() -> Iterator[list[str]]:
     """Catch what compiled code writes to file descriptor 2 meanwhile; the list is filled on leaving."""
-    said: list[str] = []
+    stderr: list[str] = []
     if sys.stderr is not None:
         sys.stderr.flush()
-    kept = os.dup(2)
+    saved = os.dup(2)
     with tempfile.TemporaryFile() as caught:
         os.dup2(caught.fileno(), 2)
         try:
-            yield said
+            yield stderr
         finally:
             if sys.stderr is not None:
                 sys.stderr.flush()
-            os.dup2(kept, 2)
-            os.close(kept)
+            os.dup2(saved, 2)
+            os.close(saved)
             caught.seek(0)
-            said.append(caught.read().decode(errors="replace"))
+            stderr.append(caught.read().decode(errors="replace"))
 
 
 if TYPE_CHECKING:
     import drjit as dr
 
-    SAID: str
+    STDERR: str
 else:
-    dr, SAID = _loaded()
+    dr, STDERR = _loaded()

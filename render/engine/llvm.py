@@ -59,8 +59,8 @@ def point_to_llvm() -> None:
 
 def searched_folders() -> list[str]:
     """Folders in which `point_to_llvm` looks on this system, first the user's search path and the environment."""
-    told = os.environ.get(_SEARCH_PATH.get(sys.platform, "LD_LIBRARY_PATH"), "").split(os.pathsep)
-    return [*told, f"{sys.prefix}/{_CONDA.get(sys.platform, 'lib')}", *_SEARCHED_HERE.get(sys.platform, ())]
+    path = os.environ.get(_SEARCH_PATH.get(sys.platform, "LD_LIBRARY_PATH"), "").split(os.pathsep)
+    return [*path, f"{sys.prefix}/{_CONDA.get(sys.platform, 'lib')}", *_SEARCHED_HERE.get(sys.platform, ())]
 
 
 def llvm_version() -> str | None:
@@ -72,10 +72,10 @@ def llvm_version() -> str | None:
     return None if version[0] < 0 else ".".join(str(part) for part in version)
 
 
-def check_llvm(version: Iterable[int], drjit_version: str, *, said: str = "") -> None:
+def check_llvm(version: Iterable[int], drjit_version: str, *, printed: str = "") -> None:
     """Refuse an LLVM that is missing, too old, or known to end the process with this Dr.Jit."""
     major = next(iter(version))
-    refused = re.search(r"LLVM version \((\d+)\)", said)
+    refused = re.search(r"LLVM version \((\d+)\)", printed)
     if major < 0 and refused:
         major = int(refused.group(1))
     if major < 0:
@@ -109,14 +109,14 @@ def _major(path: Path) -> int | None:
     numbered = _NUMBERED.match(path.name)
     if numbered is None and path.name == plain and sys.platform in _FILE:
         numbered = _NUMBERED_FOLDER.search(path.as_posix())
-        return int(numbered[1]) if numbered else _OLDEST_LLVM  # Dr.Jit will tell
+        return int(numbered[1]) if numbered else _OLDEST_LLVM  # Dr.Jit checks it
     return int(numbered[1]) if numbered else None
 
 
 def packaged(names: Iterable[str]) -> str | None:
     """Newest package of a library that works among names such as ``libllvm15``, ``libllvm17t64``; None if none is."""
-    known = [match for match in map(re.compile(r"libllvm(1[5-9])(t64)?").fullmatch, names) if match]
-    return max(known, key=lambda match: int(match[1]))[0] if known else None
+    usable = [match for match in map(re.compile(r"libllvm(1[5-9])(t64)?").fullmatch, names) if match]
+    return max(usable, key=lambda match: int(match[1]))[0] if usable else None
 
 
 def install_advice() -> str:
@@ -142,11 +142,11 @@ def install_advice() -> str:
 
 
 def _where_missing() -> str:
-    asked = os.environ.get(_LIBRARY_VARIABLE)
-    if asked is None:
+    path = os.environ.get(_LIBRARY_VARIABLE)
+    if path is None:
         return "was not found"
-    state = "could not be loaded" if Path(asked).is_file() else "does not exist"
-    return f"{state} at {_LIBRARY_VARIABLE}={asked}"
+    state = "could not be loaded" if Path(path).is_file() else "does not exist"
+    return f"{state} at {_LIBRARY_VARIABLE}={path}"
 
 
 def _found_by_drjit() -> bool:

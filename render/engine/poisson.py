@@ -7,8 +7,8 @@ the tail that remains.
 
 Large means: transformed rejection with squeeze, algorithm PTRS of Hoermann (1993), Insurance: Mathematics and
 Economics 12, 39-45, valid from a mean of 10 on. Attempt t takes its two uniforms from counter (pixel, t, 0, 0). The
-squeeze settles 60 to 75 % of the pixels without a logarithm; the others are gathered and go on by themselves, because
-a vector of pixels lasts as long as its slowest.
+squeeze settles 60 to 75 % of the pixels without a logarithm; the others are gathered and continue in vectors of their
+own, because a vector of pixels lasts as long as its slowest.
 
 Neither is an approximation; both run in float64 on uniforms of 52 bits. The means are taken apart at
 `INVERSION_LIMIT`, where the two cost about the same.
@@ -40,23 +40,23 @@ def poisson(types: Any, mean: Any, pixel: Any, key: tuple[Any, Any], *, mostly_s
     first, second = uniform64(types, words[1], words[0]), uniform64(types, words[3], words[2])
     count, doubtful = _inversion(types, mean, first, small), ~small
     if not mostly_small:  # the first attempt of PTRS, here for all at once; what it does not settle is repeated below
-        many, sure, _ = _Proposal(types, dr.select(small, 100.0, mean)).attempt(first, second)
-        count, doubtful = dr.select(small, count, many), doubtful & ~sure
-    count = _whole(types, count)
+        large, sure, _ = _Proposal(types, dr.select(small, 100.0, mean)).attempt(first, second)
+        count, doubtful = dr.select(small, count, large), doubtful & ~sure
+    count = _integer(types, count)
     dr.eval(count, doubtful, given)
-    left: Any = dr.compress(doubtful)
-    if dr.width(left):
+    pending: Any = dr.compress(doubtful)
+    if dr.width(pending):
         decided = _rejection(
             types,
-            types.Float64(dr.gather(type(given), given, left)),
-            dr.gather(types.UInt32, types.UInt32(pixel), left),
-            tuple(word if dr.width(word) == 1 else dr.gather(types.UInt32, word, left) for word in key),
+            types.Float64(dr.gather(type(given), given, pending)),
+            dr.gather(types.UInt32, types.UInt32(pixel), pending),
+            tuple(word if dr.width(word) == 1 else dr.gather(types.UInt32, word, pending) for word in key),
         )
-        dr.scatter(count, _whole(types, decided), left)
+        dr.scatter(count, _integer(types, decided), pending)
     return types.Float64(count)
 
 
-def _whole(types: Any, count: Any) -> Any:
+def _integer(types: Any, count: Any) -> Any:
     """Half the memory of Float64, for what lies between two kernels; counts beyond 2^32 - 256 are held there."""
     return types.UInt32(dr.minimum(dr.maximum(count, 0.0), 4294967040.0))
 

@@ -7,9 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["uploaded"]
-
-
 LANES = 64
 """More than any kernel's vectors hold."""
 
@@ -17,12 +14,10 @@ LANES = 64
 def uploaded(kind: Any, values: NDArray[Any]) -> Any:
     """Values as a flat Dr.Jit array of a kind.
 
-    Dr.Jit takes over NumPy's memory as it is, and kernels read whole vectors: beyond the last value too, where a page
-    that is not mapped may begin. So there is room behind them.
+    Dr.Jit takes over NumPy's memory, and kernels read whole vectors, also beyond the last value, where a page that is
+    not mapped may begin. The memory is therefore padded.
     """
     flat = np.ascontiguousarray(values).ravel()
     if flat.size % LANES:
-        room = np.zeros(flat.size + LANES, flat.dtype)
-        room[: flat.size] = flat
-        flat = room[: flat.size]
+        flat = np.pad(flat, (0, LANES))[: flat.size]
     return kind(flat)

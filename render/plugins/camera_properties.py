@@ -13,35 +13,24 @@ from optics.errors import ConfigError
 from optics.lens_file import load_lens
 from optics.units import UM_MM
 from render.camera import Camera
-from render.engine import Engine
 from render.plugins.handles import Handles, rotation_of
 from render.tracing.motion.exposure import ExposureMotion
 
 _MITSUBA_FROM_CAM = np.diag([-1.0, -1.0, 1.0])
 """Mitsuba's local frame has +X to the left and +Y up in the image; cam has +X to the right and +Y down."""
 
-_cameras: Handles[Camera] = Handles(Camera, "camera")
-_motions: Handles[ExposureMotion] = Handles(ExposureMotion, "motion")
+CAMERAS: Handles[Camera] = Handles(Camera, "camera")
+MOTIONS: Handles[ExposureMotion] = Handles(ExposureMotion, "motion")
 
 
 def share_camera(camera: Camera) -> str:
     """Handle by which ``load_dict`` takes a camera record, see `render.plugins.handles`."""
-    return _cameras.share(camera)
+    return CAMERAS.share(camera)
 
 
 def share_motion(motion: ExposureMotion) -> str:
     """Handle by which ``load_dict`` takes a motion, see `render.plugins.handles`."""
-    return _motions.share(motion)
-
-
-def find_camera(name: str) -> Camera:
-    """Camera of a handle or a file."""
-    return _cameras.named(Engine.active().mitsuba, name)
-
-
-def find_motion(name: str) -> ExposureMotion:
-    """Motion of a handle or a file."""
-    return _motions.named(Engine.active().mitsuba, name)
+    return MOTIONS.share(motion)
 
 
 def lens_camera_properties(camera: Camera, **others: Any) -> dict[str, Any]:
@@ -59,26 +48,28 @@ def lens_camera_properties(camera: Camera, **others: Any) -> dict[str, Any]:
 
 def _rotation(props: Any) -> np.ndarray:
     """cam from world, float64, from ``rotation`` or ``to_world``."""
-    turn = rotation_of(props, "lens_camera")
-    if turn is not None:
-        return turn
+    rotation = rotation_of(props, "lens_camera")
+    if rotation is not None:
+        return rotation
     if "to_world" in props:
         matrix = np.array(props["to_world"].matrix, dtype=float)[:3, :3]
-        u, size, vt = np.linalg.svd(matrix)
-        if not np.allclose(size, 1.0, atol=1e-5):
-            raise ConfigError(f"lens_camera: to_world scales by {size.max():g}; give scene_unit_mm instead")
+        u, scales, vt = np.linalg.svd(matrix)
+        if not np.allclose(scales, 1.0, atol=1e-5):
+            raise ConfigError(f"lens_camera: to_world scales by {scales.max():g}; give scene_unit_mm instead")
         return _MITSUBA_FROM_CAM @ (u @ vt).T
     return _MITSUBA_FROM_CAM
 
 
 def _shared_camera(props: Any, width: int, height: int) -> Camera:
     """The camera of a handle or a file."""
-    camera = find_camera(str(props["camera"]))
+    camera = CAMERAS.named(str(props["camera"]))
     if (camera.width_px, camera.height_px) != (width, height):
         raise ConfigError(
             f"lens_camera: film of {width} x {height} px for a camera of {camera.width_px} x {camera.height_px} px"
         )
-    if "rotation" in props or ("to_world" in props and not np.allclose(props["to_world"].matrix, moved(props))):
+    if "rotation" in props or (
+        "to_world" in props and not np.allclose(props["to_world"].matrix, translation_of(props))
+    ):
         raise ConfigError("lens_camera: a shared camera has its own attitude; to_world may only translate it")
     return camera
 
@@ -88,9 +79,8 @@ class CameraMotion:
     """Attitudes of a camera over its exposure."""
 
     quaternion: np.ndarray  # (m, 4) Cam from world at equal steps, scalar last, neighbours on the same side
-    # duration_s, line_time_s: Length of the table; how much later a row starts than the one before it
-    duration_s: float
-    line_time_s: float
+    duration_s: float  # Length of the table
+    line_time_s: float  # Delay of a row after its neighbour
     first_row: int  # Row of the detector that is row 0 of the film
 
 
@@ -109,12 +99,12 @@ def motion_of(props: Any) -> CameraMotion | None:
             "negative"
         )
     quaternion = Rotation.from_matrix(table).as_quat()
-    side = np.cumprod(np.where(np.einsum("ij,ij->i", quaternion[1:], quaternion[:-1]) < 0, -1.0, 1.0))
-    quaternion[1:] *= side[:, None]
+    sign = np.cumprod(np.where(np.einsum("ij,ij->i", quaternion[1:], quaternion[:-1]) < 0, -1.0, 1.0))
+    quaternion[1:] *= sign[:, None]
     return CameraMotion(quaternion, duration_s, line_time_s, int(props.get("first_row", 0)))
 
 
-def moved(props: Any) -> np.ndarray:
+def translation_of(props: Any) -> np.ndarray:
     """Matrix (4, 4) of the translation of ``to_world`` alone."""
     matrix = np.eye(4)
     if "to_world" in props:
@@ -126,7 +116,7 @@ def exposure_motion_of(props: Any, exposure_s: float) -> ExposureMotion | None:
     """The motion under which stars are seen, of a handle or a file, if there is one."""
     if "exposure_motion" not in props:
         return None
-    motion = find_motion(str(props["exposure_motion"]))
+    motion = MOTIONS.named(str(props["exposure_motion"]))
     if not math.isclose(motion.exposure_s, exposure_s, rel_tol=1e-9):
         raise ConfigError(
             f"lens_camera: the shutter is open for {exposure_s:g} s, exposure_motion lasts {motion.exposure_s:g} s"

@@ -9,10 +9,11 @@ import numpy as np
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, unknown_name
 from optics.record_files import read_record
+from render.engine import Engine
 
 _Record = TypeVar("_Record")
-KEPT = 64
-"""Records that are kept alive; of any more, the first ones are let go."""
+MOST_RECORDS = 64
+"""Records that are kept alive; of any more, the first ones are released."""
 
 
 class Handles(Generic[_Record]):
@@ -23,28 +24,26 @@ class Handles(Generic[_Record]):
         self._records: dict[str, _Record] = {}
 
     def share(self, record: _Record) -> str:
-        """Handle of a record, which is kept alive until `KEPT` others have been shared."""
+        """Handle of a record, which is kept alive until `MOST_RECORDS` others have been shared."""
         handle = f"{self.name}-{id(record):x}"
         self._records.pop(handle, None)
         self._records[handle] = record
-        while len(self._records) > KEPT:
+        while len(self._records) > MOST_RECORDS:
             self._records.pop(next(iter(self._records)))
         return handle
 
-    def find(self, handle: str) -> _Record:
-        """Record of a handle."""
-        if handle not in self._records:
-            raise unknown_name(f"{self.name} handle", handle, self._records)
-        return self._records[handle]
-
-    def named(self, mi: Any, name: str) -> _Record:
+    def named(self, name: str) -> _Record:
         """Record of a handle or of a file (.json) that `optics.record_files.write_record` wrote."""
-        return read_record(resolved(mi, name), self.kind) if name.endswith(".json") else self.find(name)
+        if name.endswith(".json"):
+            return read_record(resolved(name), self.kind)
+        if name not in self._records:
+            raise unknown_name(f"{self.name} handle", name, self._records)
+        return self._records[name]
 
 
-def resolved(mi: Any, name: str) -> str:
+def resolved(name: str) -> str:
     """Path of a file that a scene names: in the folder of the scene file, or in the working directory."""
-    return str(mi.file_resolver().resolve(name))
+    return str(Engine.active().mitsuba.file_resolver().resolve(name))
 
 
 def rotation_of(props: Any, plugin: str) -> FloatArray | None:

@@ -79,12 +79,12 @@ from render.engine.arrays import DrJitArrays
 from render.engine.jit import dr
 from render.engine.upload import uploaded
 from render.plugins.camera_parameters import ALUMINIUM_PER_K, CameraParameters
-from render.plugins.camera_properties import camera_of, exposure_motion_of, motion_of, moved
+from render.plugins.camera_properties import camera_of, exposure_motion_of, motion_of, translation_of
 from render.tracing.motion.exposure import ExposureMotion
 from render.tracing.pupil.quadrature_order import probe_fields
 
 EXIT_PUPIL_MARGIN = 1.03
-"""The disk that backward rays aim at, in radii of what forward rays fill: room for what lies between those."""
+"""Radius of the disk that backward rays aim at, over that of the disk of forward rays, which are few."""
 EXIT_PUPIL_RAYS = 400
 
 
@@ -104,11 +104,11 @@ def exit_disk(camera: Camera) -> tuple[float, float, float, float]:
     if not 0.2 * last < reach < 1e4 * last:
         reach = last
     i = np.arange(EXIT_PUPIL_RAYS)
-    radius, turn = np.sqrt(i / (len(i) - 1)), i * math.pi * (3.0 - math.sqrt(5.0))
+    radius, azimuth = np.sqrt(i / (len(i) - 1)), i * math.pi * (3.0 - math.sqrt(5.0))
     low, high = lens.wavelength_range_nm
     rays = Rays.create(
-        x_mm=pupil.x_mm + pupil.radius_mm * radius * np.cos(turn),
-        y_mm=pupil.y_mm + pupil.radius_mm * radius * np.sin(turn),
+        x_mm=pupil.x_mm + pupil.radius_mm * radius * np.cos(azimuth),
+        y_mm=pupil.y_mm + pupil.radius_mm * radius * np.sin(azimuth),
         z_mm=pupil.z_mm,
         direction=light_direction(probe_fields(camera.field_reach_rad))[:, None, None],
         wavelength_nm=np.clip(lens.design_wavelength_nm * np.array([0.75, 1.0, 1.4]), low, high)[:, None],
@@ -117,39 +117,36 @@ def exit_disk(camera: Camera) -> tuple[float, float, float, float]:
     ok = arrived.ok
     if not ok.any():
         raise ConvergenceError(f"lens {lens.name!r}: no ray of any field reaches the image plane")
-    back = retraced(lens, Rays(**{f.name: getattr(arrived, f.name)[ok] for f in fields(Rays)}))
-    x, y = (p + d / back.dz * (reach - back.z) for p, d in ((back.x, back.dx), (back.y, back.dy)))
+    exiting = retraced(lens, Rays(**{f.name: getattr(arrived, f.name)[ok] for f in fields(Rays)}))
+    x, y = (p + d / exiting.dz * (reach - exiting.z) for p, d in ((exiting.x, exiting.dx), (exiting.y, exiting.dy)))
     centre_x, centre_y = 0.5 * (x.min() + x.max()), 0.5 * (y.min() + y.max())
     radius_mm = EXIT_PUPIL_MARGIN * float(np.hypot(x - centre_x, y - centre_y).max())
     return float(centre_x), float(centre_y), reach, radius_mm
 
 
 class _Forward(NamedTuple):
-    """The lens as light from a point of the scene goes through it; numbers are Dr.Jit arrays of size one."""
+    """The lens for light from points of the scene; numbers are Dr.Jit arrays of size one."""
 
     xp: DrJitArrays  # Array functions
-    # program, theta: The compiled lens and its parameters
     program: LensProgram
-    theta: Any
+    theta: Any  # Parameters of the lens
     disk_mm: Any  # Centre and radius of `render.camera.launch_disk`
-    # Column and row of the image plane's origin, counted from the outer corner of the film's crop; pixels per mm;
-    # columns, rows and area [mm^2] of the crop
+    # Column and row of the image plane's origin from the outer corner of the film's crop; pixels per mm; columns, rows
+    # and area [mm^2] of the crop
     film: Any
     rotation: Any  # cam from world
 
 
 class _Backward(NamedTuple):
-    """The reversed lens as it is traced; numbers are Dr.Jit arrays of size one."""
+    """The reversed lens for light from the detector; numbers are Dr.Jit arrays of size one."""
 
     xp: DrJitArrays  # Array functions
-    # program, theta: The compiled lens and its parameters
     program: LensProgram
-    theta: Any
+    theta: Any  # Parameters of the lens
     film_mm: Any  # Width, left edge, height and top edge of the film's crop; rows run downwards
-    # turn, rotation: Reversed lens's frame from film; cam from world; row by row
-    turn: Any
+    turn: Any  # Reversed lens's frame from film, row by row
     exit_disk_mm: Any  # Centre and radius of `exit_disk`
-    rotation: Any
+    rotation: Any  # cam from world, row by row
 
 
 def define(mi: Any) -> type:
@@ -162,14 +159,14 @@ def define(mi: Any) -> type:
                 raise BackendError(f"lens_camera runs in llvm and cuda variants, not in {mi.variant()}")
             size = self.film().size()
             optics = camera_of(props, int(size.x), int(size.y))
-            # out of sight of Dr.Jit: records that are attributes it walks through at every mi.render, 1 ms for a lens
-            self._kept = SimpleNamespace(optics=optics, camera=optics)
-            self.numbers = CameraParameters(mi, self.optics, float(props.get("housing_cte_per_k", ALUMINIUM_PER_K)))
+            # a namespace: Dr.Jit walks through records that are attributes at every mi.render, 1 ms for a lens
+            self._present = SimpleNamespace(optics=optics, camera=optics)
+            self.parameters = CameraParameters(mi, self.optics, float(props.get("housing_cte_per_k", ALUMINIUM_PER_K)))
             self.m_needs_sample_3 = True
             self.scene_unit_mm = float(props.get("scene_unit_mm", 1.0))
             self.wavelength_nm = float(props.get("wavelength_nm", self.camera.lens.design_wavelength_nm))
             self.camera.lens.check_wavelength(self.wavelength_nm)
-            self.position = tuple(moved(props)[:3, 3].tolist())
+            self.position = tuple(translation_of(props)[:3, 3].tolist())
             self._position = mi.ScalarVector3d(self.position)
             exposure_s = float(props.get("shutter_close", 0.0)) - float(props.get("shutter_open", 0.0))
             self.exposure_s = exposure_s or 1.0
@@ -182,56 +179,56 @@ def define(mi: Any) -> type:
             self._crop: tuple[int, int, int, int] | None = None
             self._backward: _Backward | None = None
             self._forward: _Forward | None = None
-            self._turns: tuple[Any, ...] | None = None
+            self._attitudes: tuple[Any, ...] | None = None
 
         def traverse(self, callback: Any) -> None:
-            for name, tensor in self.numbers.tensors.items():
+            for name, tensor in self.parameters.tensors.items():
                 callback.put(name, tensor, mi.ParamFlags.Differentiable)
 
         def parameters_changed(self, keys: list[str]) -> None:
             """Take over numbers; ``optics`` stays the same record as long as only the attitude changes."""
-            optics, turn = self.optics if keys == ["rotation"] else self.numbers.optics(), self.numbers.rotation()
+            optics, turn = self.optics if keys == ["rotation"] else self.parameters.optics(), self.parameters.rotation()
             if optics is not self.optics or not np.array_equal(turn, self.camera.rotation_cam_from_world):
-                self._kept.optics, self._kept.camera = optics, replace(optics, rotation_cam_from_world=turn)
+                self._present.optics, self._present.camera = optics, replace(optics, rotation_cam_from_world=turn)
                 self._backward = self._forward = None
             self._turning = None
 
         @property
         def optics(self) -> Camera:
             """The present camera, with its first attitude."""
-            optics: Camera = self._kept.optics
+            optics: Camera = self._present.optics
             return optics
 
         @property
         def camera(self) -> Camera:
             """The present camera."""
-            camera: Camera = self._kept.camera
+            camera: Camera = self._present.camera
             return camera
 
         @property
         def star_motion(self) -> ExposureMotion | None:
             """Motion of the star images, given or from the rate; None at rest."""
             if self._turning is None:
-                self._turning = self.numbers.motion(self.camera, self.exposure_s)
+                self._turning = self.parameters.motion(self.camera, self.exposure_s)
             if self._turning is not None and self.exposure_motion is not None:
                 raise ConfigError("lens_camera: exposure_motion and rate_rad_per_s are given; leave one of them out")
             return self.exposure_motion if self._turning is None else self._turning
 
         def _window(self) -> tuple[int, int, int, int]:
-            """Crop of the film (first column, first row, columns, rows); what hangs on another one is forgotten."""
-            offset, size, whole = self.film().crop_offset(), self.film().crop_size(), self.film().size()
-            if (int(whole.x), int(whole.y)) != (self.camera.width_px, self.camera.height_px):
+            """Crop of the film (first column, first row, columns, rows); a new one resets what depends on it."""
+            offset, size, full = self.film().crop_offset(), self.film().crop_size(), self.film().size()
+            if (int(full.x), int(full.y)) != (self.camera.width_px, self.camera.height_px):
                 raise ConfigError(
-                    f"lens_camera: the film has become {int(whole.x)} x {int(whole.y)} px, the camera has "
+                    f"lens_camera: the film has become {int(full.x)} x {int(full.y)} px, the camera has "
                     f"{self.camera.width_px} x {self.camera.height_px} px; load the camera again or crop the film"
                 )
             crop = (int(offset.x), int(offset.y), int(size.x), int(size.y))
             if crop != self._crop:
-                self._crop, self._backward, self._forward, self._turns = crop, None, None, None
+                self._crop, self._backward, self._forward, self._attitudes = crop, None, None, None
             return crop
 
         def _reversed(self) -> _Backward:
-            """The reversed lens and what surrounds it; none of the numbers ends up in a kernel."""
+            """The reversed lens with film and attitude; no number is compiled into a kernel."""
             first_column, first_row, columns, rows = self._window()
             if self._backward is None:
                 camera, xp = self.camera, DrJitArrays(mi.Float64)
@@ -262,28 +259,15 @@ def define(mi: Any) -> type:
             self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
         ) -> tuple[Any, Any]:
             """Ray into the scene through a detector point (``sample2``) and an exit-pupil point (``sample3``)."""
-            F = mi.Float64
             backward = self._reversed()
             point, d, weight = self._start(sample2, sample3, backward)
             wavelengths, spectrum, hero = self._wavelengths(sample1, active)
-            zero = dr.zeros(mi.Int32, dr.width(point))
-            rays = Rays(
-                x=point.x,
-                y=point.y,
-                z=point.z,
-                dx=d.x,
-                dy=d.y,
-                dz=d.z,
-                wavelength_nm=hero,
-                opl_mm=F(0.0),
-                status=zero,
-                failed_at=zero - 1,
-            )
+            rays = backward.xp.rays(point, d, hero, dr.width(point))
             out = trace_program(backward.program, backward.theta, rays, backward.xp)
             scale, rotation = 1.0 / self.scene_unit_mm, self._attitude(time, sample2, backward)
             origin = self._world(rotation, out.x * scale, out.y * scale, 0.0) + self._position
             direction = dr.normalize(mi.Vector3f(self._world(rotation, out.dx, out.dy, out.dz)))
-            ok = active & (out.status == OK)  # rays that failed carry numbers that mean nothing
+            ok = active & (out.status == OK)  # failed rays have no valid numbers
             origin, direction = dr.select(ok, mi.Point3f(origin), 0.0), dr.select(ok, direction, mi.Vector3f(0, 0, 1))
             ray = mi.Ray3f(origin, direction, time, wavelengths)
             return ray, (spectrum * mi.Float(weight)) & ok
@@ -300,13 +284,13 @@ def define(mi: Any) -> type:
             if self._motion is None:
                 return backward.rotation
             F, motion = mi.Float64, self._motion
-            if self._turns is None:
+            if self._attitudes is None:
                 columns = tuple(uploaded(F, motion.quaternion[:, k]) for k in range(4))
                 last = len(motion.quaternion) - 1
                 first_row = motion.first_row + self._window()[1]
                 values = (self._opened_s, last / motion.duration_s, motion.line_time_s, float(last), first_row)
-                self._turns = (columns, tuple(dr.opaque(F, value) for value in values))
-            columns, (opened, steps_per_s, line_time, last, first_row) = self._turns
+                self._attitudes = (columns, tuple(dr.opaque(F, value) for value in values))
+            columns, (opened, steps_per_s, line_time, last, first_row) = self._attitudes
             row = dr.floor(F(sample2.y) * self._window()[3]) + first_row
             step = dr.clip((F(time) - opened + row * line_time) * steps_per_s, 0.0, last)
             low = dr.minimum(dr.floor(step), last - 1.0)
@@ -327,7 +311,7 @@ def define(mi: Any) -> type:
             return mi.Vector3d(*(rotation[k] * x + rotation[3 + k] * y + rotation[6 + k] * z for k in range(3)))
 
         def _wavelengths(self, sample1: Any, active: Any) -> tuple[Any, Any, Any]:
-            """Wavelengths of the ray, its spectral weight, and the wavelength that is traced."""
+            """Wavelengths of the ray, its spectral weight, and the traced wavelength."""
             if not mi.is_spectral:
                 return mi.Color0f(), mi.Spectrum(1.0), dr.opaque(mi.Float64, self.wavelength_nm)
             wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), sample1, active)
@@ -335,7 +319,7 @@ def define(mi: Any) -> type:
             return wavelengths, weight * only_hero, hero
 
         def _hero(self, wavelengths: Any) -> tuple[Any, Any]:
-            """Weight that leaves only the first of a ray's wavelengths, as a number where light is polarised; that."""
+            """Weight that removes all but the hero wavelength (unpolarised), and that wavelength."""
             low, high = self.camera.lens.wavelength_range_nm
             only_hero = dr.zeros(mi.UnpolarizedSpectrum)
             only_hero[0] = float(dr.size_v(mi.UnpolarizedSpectrum))
@@ -345,7 +329,7 @@ def define(mi: Any) -> type:
             return f"LensCamera[lens={self.camera.lens.name}, {self.camera.width_px} x {self.camera.height_px} px]"
 
         def _ahead(self) -> _Forward:
-            """The lens for light from the scene, and what surrounds it."""
+            """The lens for light from the scene, with film and attitude."""
             first_column, first_row, columns, rows = self._window()
             if self._forward is None:
                 camera, xp, disk = self.camera, DrJitArrays(mi.Float64), launch_disk(self.camera)
@@ -368,8 +352,8 @@ def define(mi: Any) -> type:
                 raise ConfigError("lens_camera: ptracer needs a camera at rest; use path, or leave motion_rotation out")
             F, ahead, scale = mi.Float64, self._ahead(), self.scene_unit_mm
             x, y, z, radius = ahead.disk_mm
-            turn, away = ahead.rotation, (mi.Vector3d(it.p) - mi.Vector3d(self._position)) * scale
-            cam = [turn[3 * k] * away.x + turn[3 * k + 1] * away.y + turn[3 * k + 2] * away.z for k in range(3)]
+            turn, offset = ahead.rotation, (mi.Vector3d(it.p) - mi.Vector3d(self._position)) * scale
+            cam = [turn[3 * k] * offset.x + turn[3 * k + 1] * offset.y + turn[3 * k + 2] * offset.z for k in range(3)]
             on_disk = mi.warp.square_to_uniform_disk_concentric(sample)
             through = mi.Vector3d(x + F(on_disk.x) * radius, y + F(on_disk.y) * radius, z)
             d = through - mi.Vector3d(-cam[0], cam[1], -cam[2])
@@ -378,11 +362,7 @@ def define(mi: Any) -> type:
             spectrum, wavelength = mi.Spectrum(1.0), dr.opaque(F, self.wavelength_nm)
             if mi.is_spectral:
                 spectrum, wavelength = self._hero(it.wavelengths)
-            zero = dr.zeros(mi.Int32, dr.width(d))
-            rays = Rays(
-                x=through.x, y=through.y, z=through.z, dx=d.x, dy=d.y, dz=d.z,
-                wavelength_nm=wavelength, opl_mm=F(0.0), status=zero, failed_at=zero - 1,
-            )  # fmt: skip
+            rays = ahead.xp.rays(through, d, wavelength, dr.width(d))
             out = trace_program(ahead.program, ahead.theta, rays, ahead.xp)
             across, down, per_mm, columns, rows, area_mm2 = ahead.film
             column, row = across + out.x * per_mm, down - out.y * per_mm

@@ -2,8 +2,9 @@
 
 A star's ray leaves the plane of the first vertex towards its star; any hit of `Scene.ray_test`, of transparent bodies
 too, hides the star, as it hides lights from ``path``. Mitsuba's rays are float32, so that an edge at the distance L is
-accurate to some 1e-7 L. The limb of a sphere would not be: its equation is solved from the origin of the ray, and at
-200 radii its roots are off by 3e-3 of the radius. A ray is therefore tested in parts that start close to far bodies.
+accurate to some 1e-7 L. The limb of a sphere is less accurate: its equation is solved from the origin of the ray, and
+at 200 radii its roots are off by 3e-3 of the radius. A ray is therefore tested in parts that start close to distant
+bodies.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ CLOSE = 20.0
 
 
 class SceneShade:
-    """The bodies of a scene, seen from a camera."""
+    """The bodies of a scene in front of a camera."""
 
     def __init__(
         self, scene: Any, direction: FloatArray, rotation: FloatArray, position: Sequence[float], scene_unit_mm: float
@@ -39,7 +40,10 @@ class SceneShade:
         self._turn = xp.parameters(rotation.ravel() / scene_unit_mm)
         self._from = xp.parameters(self.position)
         self._bodies = [self._bounds(shape) for shape in scene.shapes()]
-        self._starts = sorted({0.0, *(float(far - 3.0 * size) for far, size in self._far() if far > CLOSE * size)})
+        distances = [(float(np.linalg.norm(centre)), size) for centre, size in self._bodies]
+        self._starts = sorted(
+            {0.0, *(distance - 3.0 * size for distance, size in distances if distance > CLOSE * size)}
+        )
 
     def _bounds(self, shape: Any) -> tuple[FloatArray, float]:
         """Centre of a body from the camera and radius of a sphere around it, infinite where it has no bounds."""
@@ -49,25 +53,21 @@ class SceneShade:
             return np.zeros(3), np.inf
         return 0.5 * (low + high) - self.position, 0.5 * float(np.linalg.norm(high - low))
 
-    def _far(self) -> list[tuple[float, float]]:
-        """Distances and sizes of bodies."""
-        return [(float(np.linalg.norm(centre)), size) for centre, size in self._bodies]
-
     def near(self, pupil: EntrancePupil) -> BoolArray:
         """Stars (n,) of which a body's bounding sphere may meet the beam."""
-        found = np.zeros(len(self.direction), np.bool_)
+        near = np.zeros(len(self.direction), np.bool_)
         beam = (np.hypot(pupil.x_mm, pupil.y_mm) + 3.0 * abs(pupil.z_mm) + pupil.radius_mm) / self.scene_unit_mm
         for centre, size in self._bodies:
             along, reach = self.direction @ centre, size + beam
             across = np.linalg.norm(centre - along[:, None] * self.direction, axis=1)
-            found |= (along > -reach) & (across < reach)
-        return found
+            near |= (along > -reach) & (across < reach)
+        return near
 
     def hides(self, rays: Rays, star: Any) -> Any:
         """Whether a body blocks rays in the lens frame towards their stars."""
         mi, types = Engine.active().mitsuba, Engine.active().types
-        back, turn = -rays.z / rays.dz, self._turn
-        x, y = -(rays.x + back * rays.dx), rays.y + back * rays.dy  # in cam; z is 0 there
+        distance, turn = -rays.z / rays.dz, self._turn  # to z = 0
+        x, y = -(rays.x + distance * rays.dx), rays.y + distance * rays.dy  # in cam
         origin = [self._from[k] + turn[k] * x + turn[3 + k] * y for k in range(3)]
         toward = [dr.gather(types.Float64, component, star) for component in self._toward]
         direction = dr.normalize(mi.Vector3f(*(mi.Float(mi.Float64(v)) for v in toward)))

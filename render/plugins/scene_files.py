@@ -1,13 +1,13 @@
 """Scenes as files: a dictionary for ``mi.load_dict`` as XML for ``mi.load_file``, with our records in separate files.
 
-Tensors of star fields and records behind handles go into files named after the scene file and their place in the scene.
+Tensors of star fields and records behind handles go into files named after the scene file and their keys in the scene.
 Numbers are written with all significant digits, so that a written scene renders to the same bytes; transforms are
 written as matrices, because Mitsuba's factors lose digits.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -16,17 +16,18 @@ import numpy as np
 
 from optics.record_files import write_record
 from render.engine import Engine
-from render.plugins.camera_properties import find_camera, find_motion
+from render.plugins.camera_properties import CAMERAS, MOTIONS
+from render.plugins.handles import Handles
 from render.plugins.register import register_plugins
-from render.plugins.star_field import find_collimation, save_star_field
+from render.plugins.star_field import COLLIMATIONS, save_star_field
 from render.records import StarField
 
-HANDLES: tuple[tuple[str, str, Callable[[str], Any]], ...] = (
-    ("lens_camera", "camera", find_camera),
-    ("lens_camera", "exposure_motion", find_motion),
-    ("star_field", "collimation", find_collimation),
+HANDLES: tuple[tuple[str, str, Handles[Any]], ...] = (
+    ("lens_camera", "camera", CAMERAS),
+    ("lens_camera", "exposure_motion", MOTIONS),
+    ("star_field", "collimation", COLLIMATIONS),
 )
-"""Properties that stand for records."""
+"""Plugin, property and handles of the properties that stand for records."""
 
 
 def save_scene(path: str | Path, scene: Mapping[str, Any]) -> list[Path]:
@@ -81,15 +82,15 @@ def _write_matrices(element: ElementTree.Element, value: Mapping[str, Any]) -> N
             ElementTree.SubElement(named[key], "matrix", value=" ".join(repr(v) for v in numbers))
 
 
-def _written(value: dict[str, Any], path: Path, place: tuple[str, ...], written: list[Path]) -> dict[str, Any]:
+def _written(value: dict[str, Any], path: Path, keys: tuple[str, ...], written: list[Path]) -> dict[str, Any]:
     """The dictionary with file names in place of tensors and handles."""
 
-    def beside(name: str, suffix: str) -> Path:
-        written.append(path.with_name(".".join((path.stem, *place, name, suffix)).replace("..", ".")))
+    def new_file(name: str, suffix: str) -> Path:
+        written.append(path.with_name(".".join((path.stem, *keys, name, suffix)).replace("..", ".")))
         return written[-1]
 
     result = {
-        key: _written(entry, path, (*place, key), written) if isinstance(entry, dict) else entry
+        key: _written(entry, path, (*keys, key), written) if isinstance(entry, dict) else entry
         for key, entry in value.items()
     }
     kind = value.get("type")
@@ -103,13 +104,13 @@ def _written(value: dict[str, Any], path: Path, place: tuple[str, ...], written:
             photon_rate=arrays["photon_rate"].reshape(-1, *bands.shape),
             band=tuple(names.split(",")),
         )
-        file = beside("", "npz")
+        file = new_file("", "npz")
         save_star_field(file, stars)
         result["filename"] = file.name
-    for owner, name, find in HANDLES:
-        if kind == owner and name in value:
-            file = beside(name, "json")
-            write_record(file, find(str(value[name])))
+    for plugin, name, handles in HANDLES:
+        if kind == plugin and name in value:
+            file = new_file(name, "json")
+            write_record(file, handles.named(str(value[name])))
             result[name] = file.name
     if kind in ("star_field", "lens_camera") and "rotation" in value and not isinstance(value["rotation"], str):
         result["rotation"] = " ".join(repr(v) for v in np.array(value["rotation"], float).ravel().tolist())

@@ -47,7 +47,6 @@ import numpy as np
 from optics.arrays import FloatArray
 from optics.errors import ConfigError
 from optics.light.collimation import Collimation
-from render.engine import Engine
 from render.engine.jit import dr
 from render.engine.upload import uploaded
 from render.plugins.handles import Handles, resolved, rotation_of
@@ -63,17 +62,12 @@ NARROWEST_NM = 10.0
 TENSORS = (("direction", 2), ("wavelength_nm", 2), ("photon_rate", 3))
 
 
-_collimations: Handles[Collimation] = Handles(Collimation, "collimation")
+COLLIMATIONS: Handles[Collimation] = Handles(Collimation, "collimation")
 
 
 def share_collimation(collimation: Collimation) -> str:
     """Handle by which ``load_dict`` takes the error of a collimator."""
-    return _collimations.share(collimation)
-
-
-def find_collimation(name: str) -> Collimation:
-    """Error of a collimator of a handle or a file."""
-    return _collimations.named(Engine.active().mitsuba, name)
+    return COLLIMATIONS.share(collimation)
 
 
 def save_star_field(path: str | Path, stars: StarField) -> None:
@@ -82,10 +76,10 @@ def save_star_field(path: str | Path, stars: StarField) -> None:
     np.savez(path, band=np.array(stars.band), **arrays)
 
 
-def _arrays(props: Any, mi: Any) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
+def _arrays(props: Any) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
     """Directions, wavelengths, rates and names of bands."""
     if "filename" in props:
-        path = resolved(mi, str(props["filename"]))
+        path = resolved(str(props["filename"]))
         try:
             with np.load(path) as file:
                 arrays = {name: file[name] for name, _ in TENSORS}
@@ -132,7 +126,7 @@ class _DirectionalLight:
         self.toward = [uploaded(mi.Float, toward[:, axis]) for axis in range(3)]
         photons = stars.photon_rate.reshape(len(stars), -1)
         self.total = mi.Float(photons.sum(1))
-        self.pick = mi.DiscreteDistribution(self.total)
+        self.distribution = mi.DiscreteDistribution(self.total)
         cells = _cells(stars.wavelength_nm).reshape(-1, 2)
         with np.errstate(divide="ignore", invalid="ignore"):
             density = np.nan_to_num(photons / (cells[:, 1] - cells[:, 0]), posinf=0.0)
@@ -154,9 +148,9 @@ class _DirectionalLight:
             for node in range(self.bands):
                 index = mi.UInt32(node)
                 low, high = (dr.gather(mi.Float, edge, index) for edge in (self.low, self.high))
-                here = (wavelengths >= low) & (wavelengths < high)
+                inside = (wavelengths >= low) & (wavelengths < high)
                 density = dr.gather(mi.Float, self.density, star * self.bands + node, active)
-                value += dr.select(here, mi.UnpolarizedSpectrum(density), 0.0)
+                value += dr.select(inside, mi.UnpolarizedSpectrum(density), 0.0)
         return mi.depolarizer(value) if mi.is_polarized else value
 
 
@@ -168,16 +162,16 @@ def define(mi: Any) -> type:
             if "sampling_weight" not in props:
                 props["sampling_weight"] = NEVER
             super().__init__(props)
-            arrays, self._names = _arrays(props, mi)
+            arrays, self._names = _arrays(props)
             self.direction, self.wavelength_nm, self.photon_rate = (mi.TensorXf64(v) for v in arrays.values())
-            turn = rotation_of(props, "star_field")
-            self.turned = turn is not None
-            self.rotation = mi.TensorXf64(np.eye(3) if turn is None else turn)
+            rotation = rotation_of(props, "star_field")
+            self.turned = rotation is not None
+            self.rotation = mi.TensorXf64(np.eye(3) if rotation is None else rotation)
             handle = str(props.get("collimation", ""))
-            self.collimation = find_collimation(handle) if handle else None
+            self.collimation = COLLIMATIONS.named(handle) if handle else None
             self._centre = mi.ScalarPoint3f(props.get("scene_centre", mi.ScalarPoint3f(0.0)))
             self._radius = float(props.get("scene_radius", 0.0))
-            self._said = False
+            self._warned = False
             self._moved = False
             self._stars: StarField | None = None
             self._light: _DirectionalLight | None = None
@@ -200,10 +194,10 @@ def define(mi: Any) -> type:
         @property
         def turned_stars(self) -> StarField:
             """The present stars, in the scene's world."""
-            turn = self.world_from_stars
-            if turn is None:
+            rotation = self.world_from_stars
+            if rotation is None:
                 return self.stars
-            direction = self.stars.direction @ turn.T
+            direction = self.stars.direction @ rotation.T
             return replace(self.stars, direction=direction / np.linalg.norm(direction, axis=1, keepdims=True))
 
         @property
@@ -232,16 +226,16 @@ def define(mi: Any) -> type:
 
         def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
             light = self._as_light()
-            star, share = light.pick.sample_pmf(sample.x, active)
+            star, probability = light.distribution.sample_pmf(sample.x, active)
             ds = dr.zeros(mi.DirectionSample3f, dr.width(sample))
             ds.d = light.direction(star, active)
             ds.dist = mi.Float(FAR)
             ds.p, ds.n = it.p + ds.d * FAR, mi.Normal3f(-ds.d)
-            ds.uv = mi.Point2f(mi.Float(star), 0.0)  # whose, for `eval_direction`
-            ds.time, ds.pdf, ds.delta = it.time, share, mi.Mask(True)
+            ds.uv = mi.Point2f(mi.Float(star), 0.0)  # number of the star, for `eval_direction`
+            ds.time, ds.pdf, ds.delta = it.time, probability, mi.Mask(True)
             ds.emitter = mi.EmitterPtr(self)
-            seen = active & (share > 0.0)
-            return ds, (light.irradiance(star, it.wavelengths, seen) / share) & seen
+            lit = active & (probability > 0.0)
+            return ds, (light.irradiance(star, it.wavelengths, lit) / probability) & lit
 
         def pdf_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
             return mi.Float(0.0)
@@ -259,22 +253,19 @@ def define(mi: Any) -> type:
             self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
         ) -> tuple[Any, Any]:
             """Ray from a disk that covers the scene as a star sees it; the weight is that of ``ptracer``."""
-            if not (self._radius > 0.0 or self._said):  # no exception: fields of other scenes are traced with this one
+            if not (self._radius > 0.0 or self._warned):  # no error: other scenes trace this field
                 mi.Log(mi.LogLevel.Warn, f"star_field '{self.id()}' adds no light: {NO_RADIUS}")
-                self._said = True
+                self._warned = True
             light = self._as_light()
-            star, share = light.pick.sample_pmf(sample3.x, active)
+            star, probability = light.distribution.sample_pmf(sample3.x, active)
             toward = light.direction(star, active)
-            wavelengths, weight = mi.Color0f(), mi.Spectrum(1.0)
-            if mi.is_spectral:
-                wavelengths, unpolarised = mi.sample_rgb_spectrum(mi.sample_shifted(sample1))
-                weight = mi.Spectrum(unpolarised)
+            wavelengths, weight = self.sample_wavelengths(None, sample1)
             across = mi.warp.square_to_uniform_disk_concentric(sample2)
             offset = mi.Frame3f(toward).to_world(mi.Vector3f(across.x, across.y, 1.0))
             origin = mi.Point3f(self._centre) + offset * self._radius
-            seen = active & (share > 0.0)
-            power = light.irradiance(star, wavelengths, seen) * (math.pi * self._radius**2) / share
-            return mi.Ray3f(origin, -toward, time, wavelengths), (weight * power) & seen
+            lit = active & (probability > 0.0)
+            power = light.irradiance(star, wavelengths, lit) * (math.pi * self._radius**2) / probability
+            return mi.Ray3f(origin, -toward, time, wavelengths), (weight * power) & lit
 
         def sample_wavelengths(self, si: Any, sample: Any, active: Any = True) -> tuple[Any, Any]:
             if not mi.is_spectral:

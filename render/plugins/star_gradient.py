@@ -21,14 +21,14 @@ Matrix = list[list[Any]]
 def attached_image(mi: Any, tracer: Tracer, camera: Any, field: Any) -> Any:
     """Image (h, w, b) of a ``star_field`` through a ``lens_camera``, as a tensor with derivatives."""
     tracer.camera.lens.check_surfaces()
-    F, stars, numbers = mi.Float64, field.stars, camera.numbers
+    F, stars, parameters = mi.Float64, field.stars, camera.parameters
     paths = _paths(mi, tracer, camera, field)
-    optics, slopes = numbers.derivatives(lambda other: lens_numbers(other, tracer.pupil).values)
-    known = lens_numbers(optics, tracer.pupil)
-    vector, moves = uploaded(F, known.values), np.zeros(len(known.values), np.bool_)
+    optics, slopes = parameters.derivatives(lambda other: lens_numbers(other, tracer.pupil).values)
+    numbers = lens_numbers(optics, tracer.pupil)
+    vector, moves = uploaded(F, numbers.values), np.zeros(len(numbers.values), np.bool_)
     for name, at, slope in slopes:
         moves |= slope != 0.0
-        number = dr.gather(F, numbers.tensors[name].array, mi.UInt32(at))
+        number = dr.gather(F, parameters.tensors[name].array, mi.UInt32(at))
         vector = vector + uploaded(F, slope) * (number - dr.detach(number))
     image = star_image(
         mi,
@@ -36,7 +36,7 @@ def attached_image(mi: Any, tracer: Tracer, camera: Any, field: Any) -> Any:
         stars,
         paths,
         camera.exposure_s,
-        numbers=known,
+        numbers=numbers,
         vector=vector,
         moves=moves,
         rate=field.photon_rate.array,
@@ -46,25 +46,25 @@ def attached_image(mi: Any, tracer: Tracer, camera: Any, field: Any) -> Any:
 
 def _paths(mi: Any, tracer: Tracer, camera: Any, field: Any) -> AttachedPaths:
     """Directions of a field's stars, with derivatives."""
-    F, numbers, motion = mi.Float64, camera.numbers, camera.star_motion
+    F, parameters, motion = mi.Float64, camera.parameters, camera.star_motion
     stars = dr.arange(mi.UInt32, len(field.stars))
     s = [dr.gather(F, field.direction.array, 3 * stars + axis) for axis in range(3)]
     length = dr.rsqrt(s[0] * s[0] + s[1] * s[1] + s[2] * s[2])
     world = [component * length for component in s]
     if field.turned:
         world = _applied(_entries(F, field.rotation), world)
-    known = field.turned_stars.direction
-    turn = _times(_turn(F, numbers), _entries(F, numbers.tensors["rotation"]))
+    direction = field.turned_stars.direction
+    turn = _times(_turn(F, parameters), _entries(F, parameters.tensors["rotation"]))
     if motion is None:
-        seen = _applied(turn, world)
-        return AttachedPaths(at_rest(np.asarray(known @ camera.camera.rotation_cam_from_world.T)), seen, seen)
+        in_cam = _applied(turn, world)
+        return AttachedPaths(at_rest(np.asarray(direction @ camera.camera.rotation_cam_from_world.T)), in_cam, in_cam)
     times = len(motion.weight)
     lane = dr.arange(mi.UInt32, len(field.stars) * times)
     time = lane % times
     if camera.exposure_motion is None:
         middle = _applied(turn, world)
-        value, slope = numbers.turning(motion.time_s - 0.5 * motion.exposure_s)
-        rate = _parameters(F, numbers.tensors["rate_rad_per_s"])
+        value, slope = parameters.turning(motion.time_s - 0.5 * motion.exposure_s)
+        rate = _parameters(F, parameters.tensors["rate_rad_per_s"])
     else:
         middle, rate = _applied([[F(float(v)) for v in row] for row in motion.rotation_mid], world), []
         value, slope = motion.rotation_cam_from_world, np.zeros((times, 3, 3, 0))
@@ -72,12 +72,12 @@ def _paths(mi: Any, tracer: Tracer, camera: Any, field: Any) -> AttachedPaths:
     turned = [dr.gather(F, component, lane // times) for component in turned]
 
     def entry(i: int, j: int) -> Any:
-        numbers_of = [uploaded(F, v[:, i, j]) for v in (value, *np.moveaxis(slope, -1, 0))]
-        first, *more = (dr.gather(F, v, time) for v in numbers_of)
-        return sum((by * change for by, change in zip(more, rate, strict=True)), first)
+        columns = [uploaded(F, v[:, i, j]) for v in (value, *np.moveaxis(slope, -1, 0))]
+        first, *slopes = (dr.gather(F, v, time) for v in columns)
+        return sum((by * change for by, change in zip(slopes, rate, strict=True)), first)
 
     nodes = _applied([[entry(i, j) for j in range(3)] for i in range(3)], turned)
-    return AttachedPaths(star_paths(motion, known, tracer.camera), middle, nodes, motion.length_px)
+    return AttachedPaths(star_paths(motion, direction, tracer.camera), middle, nodes, motion.length_px)
 
 
 def _applied(matrix: Matrix, vector: list[Any]) -> list[Any]:
@@ -111,18 +111,16 @@ def _entries(F: Any, tensor: Any) -> Matrix:
 
 def _times(left: Matrix, right: Matrix) -> Matrix:
     """Product of two matrices."""
-    return [
-        [sum((left[i][k] * right[k][j] for k in range(1, 3)), left[i][0] * right[0][j]) for j in range(3)]
-        for i in range(3)
-    ]
+    columns = [_applied(left, [row[j] for row in right]) for j in range(3)]
+    return [[column[i] for column in columns] for i in range(3)]
 
 
-def _turn(F: Any, numbers: Any) -> Matrix:
+def _turn(F: Any, parameters: Any) -> Matrix:
     """Matrix of ``attitude_rad``, with its derivatives."""
-    tensor = numbers.tensors["attitude_rad"]
+    tensor = parameters.tensors["attitude_rad"]
     value: FloatArray = Rotation.from_rotvec(plain(tensor, (3,))).as_matrix()
     changes = _parameters(F, tensor)
-    slope = numbers.turn_derivatives()
+    slope = parameters.turn_derivatives()
     return [
         [sum((float(slope[i, j, k]) * changes[k] for k in range(3)), F(float(value[i, j]))) for j in range(3)]
         for i in range(3)

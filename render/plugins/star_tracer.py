@@ -9,13 +9,13 @@ tolerance : float, default 3e-5
 by_grid : bool, default false
     By waves: few stars too are taken from a grid of images over the field, which pays where many fields follow.
 bodies : integrator, optional
-    What renders everything else in the scene, e.g. ``path``: its image through the same lens is added to the stars'.
+    Integrator of all other light of the scene, e.g. ``path``: its image through the same lens is added to the stars'.
 
 ``mi.render`` returns expected photo-electrons in the exposure (the camera's ``shutter_open`` to ``shutter_close``), the
-bands of the ``star_field`` as channels, of the pixels of the film's crop; the same stands on the film: the sum of the
-bands as its luminance, and where there are several, each as a channel of its name. What else is known is in
-``integrator.traced`` for the last image and in ``integrator.traced_by(sensor)`` for the last one of a sensor, where
-pixels count on the whole film. ``seed`` scrambles the Sobol points and is the seed of ``bodies``.
+bands of the ``star_field`` as channels, of the pixels of the film's crop; the film receives the sum of the bands as its
+luminance, and each of several bands as a channel of its name. Truth is in ``integrator.traced`` for the last image and
+in ``integrator.traced_by(sensor)`` for the last one of a sensor, where pixels count on the whole film. ``seed``
+scrambles the Sobol points and is the seed of ``bodies``.
 
 Derivatives (`dr.backward`, `dr.forward` of what ``mi.render(scene, params)`` returns) are those of
 `render.tracing.gradient`, with respect to directions, rates and ``rotation`` of the
@@ -23,8 +23,8 @@ stars, and all numbers of the camera.
 
 Shapes that stand between the sky and the lens hide stars, ray by ray (`render.plugins.occlusion`).
 
-With ``bodies``, radiances in the scene count photons per s, mm^2 and sr in each band; a band's light is shared out
-evenly over its wavelength nodes, each of which is traced backwards by an equal part of the samples. Charge diffusion
+With ``bodies``, radiances in the scene count photons per s, mm^2 and sr in each band; a band's light is divided evenly
+between its wavelength nodes, each of which is traced backwards by an equal number of the samples. Charge diffusion
 and the camera's response are applied as to the stars.
 """
 
@@ -45,8 +45,8 @@ from render.plugins.star_gradient import attached_image
 from render.tracing.convergence import TOLERANCE
 from render.tracing.tracer import TracedStars, Tracer
 
-KEPT = 8
-"""Cameras (with a seed each) whose compiled lens is kept for the next image."""
+MOST_TRACERS = 8
+"""Cameras (with a seed each) whose compiled lens is cached."""
 
 
 def put_on_film(mi: Any, film: Any, image: Any, bands: tuple[str, ...]) -> None:
@@ -97,9 +97,9 @@ def define(mi: Any, emitter_class: Any, camera_class: Any) -> type:
                     f"star_tracer: bodies cannot be rendered in the variant {mi.variant()}; use llvm_ad_mono or "
                     "cuda_ad_mono, one band at a time"
                 )
-            # out of sight of Dr.Jit: records that are attributes it walks through at every mi.render, 1 ms for a lens
-            self._kept = SimpleNamespace(traced=None, by={})
-            self._number = 0
+            # a namespace: Dr.Jit walks through records that are attributes at every mi.render, 1 ms for a lens
+            self._last = SimpleNamespace(traced=None, by_sensor={})
+            self._seed = 0
             self._tracers: dict[tuple[int, int], Tracer] = {}
 
         def render(
@@ -111,16 +111,15 @@ def define(mi: Any, emitter_class: Any, camera_class: Any) -> type:
             develop: bool = True,
             evaluate: bool = True,
         ) -> Any:
-            camera, field = self._seen(scene, sensor)
-            number = int(np.asarray(seed).item())  # a number, or a Dr.Jit array of one
-            self._number = number
-            traced = self._kept.traced = self._trace(scene, camera, field, number)
-            self._kept.by[id(camera)] = (camera, traced)
+            camera, field = self._contents(scene, sensor)
+            self._seed = int(np.asarray(seed).item())  # of an integer or a Dr.Jit array of size one
+            traced = self._last.traced = self._trace(scene, camera, field)
+            self._last.by_sensor[id(camera)] = (camera, traced)
             film = camera.film()
             (left, top), (width, height) = film.crop_offset(), film.crop_size()
             electrons = traced.electrons[top : top + height, left : left + width]
             if self.bodies is not None:
-                electrons = electrons + self._bodies(scene, camera, field.stars.wavelength_nm, number, spp)
+                electrons = electrons + self._bodies(scene, camera, field.stars.wavelength_nm, spp)
             image = mi.TensorXf(np.ascontiguousarray(electrons))
             put_on_film(mi, film, image, field.stars.band)
             return image
@@ -144,28 +143,28 @@ def define(mi: Any, emitter_class: Any, camera_class: Any) -> type:
 
         def _attached(self, scene: Any, sensor: Any) -> Any:
             """The image with derivatives."""
-            camera, field = self._seen(scene, sensor)
+            camera, field = self._contents(scene, sensor)
             motion = camera.star_motion
             if self.bodies is not None or (motion is not None and motion.path is not None):
                 what = "bodies" if self.bodies is not None else "stars under a rolling shutter"
                 raise ConfigError(f"star_tracer: derivatives with respect to {what} are not available")
-            traced = self._kept.by.get(id(camera))
+            traced = self._last.by_sensor.get(id(camera))
             if traced is not None and traced[1].truth.electrons_hidden.any():
                 raise ConfigError("star_tracer: derivatives of stars partly hidden by bodies are not available")
-            return attached_image(mi, self.tracer(camera, self._number), camera, field)
+            return attached_image(mi, self.tracer(camera, self._seed), camera, field)
 
         def traced_by(self, sensor: Any) -> TracedStars:
             """Traced stars of the last image of a sensor."""
-            found: TracedStars = self._kept.by[id(sensor)][1]
-            return found
+            traced: TracedStars = self._last.by_sensor[id(sensor)][1]
+            return traced
 
         @property
         def traced(self) -> TracedStars | None:
             """Traced stars of the last image."""
-            kept: TracedStars | None = self._kept.traced
-            return kept
+            traced: TracedStars | None = self._last.traced
+            return traced
 
-        def _seen(self, scene: Any, sensor: Any) -> tuple[Any, Any]:
+        def _contents(self, scene: Any, sensor: Any) -> tuple[Any, Any]:
             """Camera and star field of a scene."""
             camera = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             if not isinstance(camera, camera_class):
@@ -177,31 +176,31 @@ def define(mi: Any, emitter_class: Any, camera_class: Any) -> type:
                 )
             return camera, fields[0]
 
-        def tracer(self, camera: Any, number: int) -> Tracer:
-            """Compiled lens and plans of a camera; another attitude needs no other."""
-            key = (id(camera.optics), number)
-            kept = self._tracers.get(key)
-            if kept is None or kept.camera is not camera.optics:
-                while len(self._tracers) >= KEPT:
+        def tracer(self, camera: Any, seed: int) -> Tracer:
+            """Compiled lens and plans of a camera, for all its attitudes."""
+            key = (id(camera.optics), seed)
+            tracer = self._tracers.get(key)
+            if tracer is None or tracer.camera is not camera.optics:
+                while len(self._tracers) >= MOST_TRACERS:
                     self._tracers.pop(next(iter(self._tracers)))
-                kept = self._tracers[key] = Tracer(
+                tracer = self._tracers[key] = Tracer(
                     camera.optics,
                     sobol_log2_rays=self.sobol_log2_rays,
-                    sobol_seed=number,
+                    sobol_seed=seed,
                     tolerance=self.tolerance,
                     by_grid=self.by_grid,
                 )
-            return kept
+            return tracer
 
-        def _trace(self, scene: Any, camera: Any, field: Any, number: int) -> TracedStars:
-            """Stars through the lens, less what bodies hide."""
+        def _trace(self, scene: Any, camera: Any, field: Any) -> TracedStars:
+            """Stars through the lens, without the light that bodies hide."""
             stars, motion = field.turned_stars, camera.star_motion
             attitude = camera.camera.rotation_cam_from_world
             shade = None
             if scene.shapes():
                 middle = attitude if motion is None else motion.rotation_mid
                 shade = SceneShade(scene, stars.direction, middle, camera.position, camera.scene_unit_mm)
-            return self.tracer(camera, number).render(
+            return self.tracer(camera, self._seed).render(
                 stars,
                 exposure_s=camera.exposure_s,
                 rotation_cam_from_world=attitude if motion is None else None,
@@ -209,9 +208,7 @@ def define(mi: Any, emitter_class: Any, camera_class: Any) -> type:
                 shade=shade,
             )
 
-        def _bodies(
-            self, scene: Any, camera: Any, wavelength_nm: FloatArray, number: int, spp: int
-        ) -> NDArray[np.float32]:
+        def _bodies(self, scene: Any, camera: Any, wavelength_nm: FloatArray, spp: int) -> NDArray[np.float32]:
             """Electrons (h, w, b) of everything but the stars, on the film's crop."""
             optics, before = camera.optics, camera.wavelength_nm
             bands, nodes = wavelength_nm.shape
@@ -221,14 +218,14 @@ def define(mi: Any, emitter_class: Any, camera_class: Any) -> type:
             try:
                 for band, node in np.ndindex(bands, nodes):
                     camera.wavelength_nm = float(wavelength_nm[band, node])
-                    seed = (number * bands * nodes + band * nodes + node) % 2**32
-                    taken = self.bodies.render(scene, sensor=camera, seed=seed, spp=samples)
-                    layers.append(np.array(taken, dtype=np.float64)[..., 0] * light[band, node])
+                    seed = (self._seed * bands * nodes + band * nodes + node) % 2**32
+                    irradiance = self.bodies.render(scene, sensor=camera, seed=seed, spp=samples)
+                    layers.append(np.array(irradiance, dtype=np.float64)[..., 0] * light[band, node])
             finally:
                 camera.wavelength_nm = before
             image = np.stack(layers, axis=-1).reshape(*layers[0].shape, bands, nodes).sum(-1)
-            whole = [diffuse(image[..., band], optics.blur_px) for band in range(bands)]
-            return np.stack(whole, axis=-1).astype(np.float32)
+            diffused = [diffuse(image[..., band], optics.blur_px) for band in range(bands)]
+            return np.stack(diffused, axis=-1).astype(np.float32)
 
         def sample(self, scene: Any, sensor: Any, sampler: Any, block: Any, sample_scale: Any) -> None:
             raise NotImplementedError("star_tracer renders whole images; call mi.render")

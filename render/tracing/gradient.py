@@ -422,7 +422,7 @@ def _wave_image(
     camera, planner, waves = tracer.camera, tracer.planner, WaveImages(tracer.planner)
     light = tracer.light(stars, paths.plain, exposure_s)
     exposure = planner.exposure(paths.plain, stars.wavelength_nm, paths.length_px)
-    few, images = waves.direct_sums(light, exposure)
+    few, images = waves.summed(light, exposure)
     scene = trace_of(AttachedPaths(at_rest(paths.plain.mid), paths.middle, paths.middle))
     moving = trace_of(paths) if images.trail is not None else scene
     (bands, colours), mean_nm = stars.wavelength_nm.shape, stars.wavelength_nm.mean(1)

@@ -103,29 +103,9 @@ def test_the_package_of_a_distribution_is_found(listed, package):
     assert packaged(listed.split()) == package
 
 
-@pytest.mark.parametrize(
-    ("version", "drjit", "said", "expected"),
-    [
-        ((-1, -1, -1), "1.4.0", "", "was not found; install"),
-        ((14, 0, 6), "1.4.0", "", "LLVM 14 is too old"),
-        ((-1, -1, -1), "1.4.0", "the located LLVM version (14) is too old.", "LLVM 14 is too old"),
-        ((15, 0, 6), "1.5.0", "", "ends the process on LLVM 15"),
-        ((16, 0, 6), "1.5.0", "", "mitsuba==3.9.0"),
-    ],
-)
-def test_llvm_that_cannot_work_is_refused(version, drjit, said, expected):
-    assert "\n" not in refuses(BackendError, expected, check_llvm, version, drjit, said=said)
-
-
 @pytest.mark.parametrize(("version", "drjit"), [((15, 0, 6), "1.4.0"), ((19, 1, 7), "1.4.0"), ((19, 1, 7), "1.5.0")])
 def test_llvm_that_works_is_accepted(version, drjit):
     check_llvm(version, drjit)
-
-
-def test_unknown_backend_and_variant():
-    refuses(BackendError, "choose one of auto, llvm, cuda", Engine.start, "opencl")
-    with pytest.raises(BackendError, match="llvm_ad_mono"):
-        _ = Engine("llvm", "double").mitsuba
 
 
 def test_cuda_without_a_gpu():

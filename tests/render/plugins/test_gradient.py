@@ -6,10 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from refusals import refuses
+from made_lens import made_lens
 
+from optics.lens.shapes.plane import Plane
+from optics.lens.shapes.sphere import Sphere
 from optics.lens_file import load_lens
+from optics.rays.paraxial import axial_paraxial
 from render.camera import Camera
+from render.engine.jit import dr
 from render.forward import star_scene
 from render.records import StarField
 from render.tracing.waves.direct_sums import DirectSums
@@ -17,19 +21,29 @@ from render.tracing.waves.pixel_kernel import FieldSampling, window_samples
 
 WEIGHTS = {-3: -1 / 60, -2: 9 / 60, -1: -45 / 60, 1: 45 / 60, 2: -9 / 60, 3: 1 / 60}
 """Sixth-order central difference (Fornberg 1988, Math. Comp. 51, 699)."""
-# focal length, pixel pitch and focus of the bench; a spot at its best focus has no slope against focus
-BENCHES = {"star_camera_206mm": (206.2, 5.5e-3, 0.03), "star_tracker_26mm": (26.0, 10e-3, 0.02)}
+BENCHES = {"star_camera_206mm": (5.5e-3, 0.03), "star_tracker_26mm": (10e-3, 0.02)}
+"""Pixel pitch and focus; a spot at its best focus has no slope against focus."""
 
 
-def scene_of(mi, lens, stars=2, colours=3, bench=None, **camera):
+def singlet(stop):
+    """A biconvex lens of 30 mm, F/10, with its stop in front or behind, where rays must be aimed."""
+    front, back, hole = Sphere(radius_mm=20.0), Sphere(radius_mm=-60.0), (Plane(), 2.0, "air", 1.5)
+    if stop == "in front":
+        return made_lens(hole, (front, 3.0, "n15", 6.0), (back, 28.7, "air", 6.0))
+    behind = (Plane(), 26.7, "air", 1.5)
+    return made_lens((front, 3.0, "n15", 6.0), (back, 2.0, "air", 6.0), behind, stop=2)
+
+
+def scene_of(mi, lens, stars=2, colours=3, rate=None, **camera):
     """One star or two, of one to three wavelengths, on a small film, some hundred pixels from the axis.
 
     Diffusion of 0.16 px is spread over 6.2 standard deviations: what is cut there would else be a step in differences.
     """
-    focal_mm, pitch_mm, focus_mm = bench or BENCHES[lens]
-    settings = {"width_px": 40, "height_px": 36, "defocus_mm": focus_mm, "charge_diffusion_px": 0.16}
-    settings |= {"diffraction": "rays"} | camera
-    record = Camera(lens=load_lens(lens), pixel_pitch_mm=pitch_mm, centre_px=np.array([-100.0, -80.0]), **settings)
+    lens, (pitch_mm, focus_mm) = (load_lens(lens), BENCHES[lens]) if isinstance(lens, str) else (lens, (5e-3, 0.0))
+    settings = {"width_px": 40, "height_px": 36, "pixel_pitch_mm": pitch_mm, "defocus_mm": focus_mm}
+    settings |= {"charge_diffusion_px": 0.16, "diffraction": "rays"} | camera
+    record = Camera(lens=lens, centre_px=np.array([-100.0, -80.0]), **settings)
+    focal_mm = float(axial_paraxial(lens, lens.design_wavelength_nm).efl_mm)
     field = StarField(
         direction=record.nominal_direction(np.array([18.3, 26.8]), np.array([17.7, 12.1]), focal_mm)[:stars],
         wavelength_nm=np.array([[500.0, 600.0, 700.0]])[:, :colours],
@@ -37,7 +51,14 @@ def scene_of(mi, lens, stars=2, colours=3, bench=None, **camera):
         band=("band",),
     )
     tolerance = 1e-6 if record.diffraction == "rays" else 1e-3  # of the rays, whose images those by waves are not
-    return mi.load_dict(star_scene(record, field, exposure_s=0.5, tolerance=tolerance))
+    scene = mi.load_dict(star_scene(record, field, exposure_s=0.5, tolerance=tolerance))
+    if rate is not None:
+        params = mi.traverse(scene)
+        params["camera.rate_rad_per_s"] = mi.TensorXf64(np.array(rate))
+        params.update()
+        mi.render(scene)
+        assert 1.0 < scene.sensors()[0].star_motion.length_px < 3.5
+    return scene
 
 
 def direct_sum(rays, shares, corner_px, window_px, field, *, pad_px):
@@ -105,7 +126,7 @@ def exact_image(scene):
 
 
 def moments(scene):
-    """Weights whose sum with the image is smooth in everything: light, place and size of the spots."""
+    """Weights whose sum with the image is smooth in everything: light, position and size of the spots."""
     truth = scene.integrator().traced.truth
     u = np.arange(40) - truth.photon_x_px.mean()
     v = np.arange(36)[:, None] - truth.photon_y_px.mean()
@@ -114,80 +135,127 @@ def moments(scene):
 
 def gradients(mi, scene, params, keys):
     """Of the weighted sum of the image, by reverse mode."""
-    import drjit as dr
-
-    for key in keys:
-        dr.enable_grad(params[key])
+    dr.enable_grad(*(params[key] for key in keys))
     image = mi.render(scene, params)
     weight = moments(scene)
     dr.backward(dr.sum(image * mi.TensorXf(weight), axis=None))
-    found = {key: np.array(dr.grad(params[key]).numpy(), float) for key in keys}
-    for key in keys:
-        dr.disable_grad(params[key])
-    return found, weight.astype(float)
+    gradient = {key: np.array(dr.grad(params[key]).numpy(), float) for key in keys}
+    dr.disable_grad(*(params[key] for key in keys))
+    return gradient, weight.astype(float)
 
 
-def difference(mi, scene, params, weight, key, direction):
-    """Central difference of the weighted sum along a direction in a parameter."""
-    start = np.array(params[key].numpy(), float)
+def forward(mi, scene, params, direction):
+    """Derivative of the image along directions in parameters."""
+    for key, change in direction.items():
+        dr.enable_grad(params[key])
+        dr.set_grad(params[key], mi.TensorXf64(change))
+    derivative = dr.forward_to(mi.render(scene, params)).numpy()
+    dr.disable_grad(*(params[key] for key in direction))
+    return derivative
+
+
+def difference(mi, scene, params, weight, direction):
+    """Central difference of the weighted sum along directions in parameters."""
+    start = {key: np.array(params[key].numpy(), float) for key in direction}
     total = 0.0
-    for times, factor in WEIGHTS.items():
-        value = start + times * direction
-        params[key] = mi.TensorXf64(value)
+    for times, factor in (WEIGHTS | {0: 0.0}).items():  # the last leaves the parameters as they were
+        for key, change in direction.items():
+            params[key] = mi.TensorXf64(start[key] + times * change)
         params.update()
-        total += factor * float((exact_image(scene) * weight).sum())
-    params[key] = mi.TensorXf64(start)
-    params.update()
+        total += factor * float((exact_image(scene) * weight).sum()) if factor else 0.0
     return total
 
 
+def along(gradient, key, at, step):
+    """Direction in one number of a parameter."""
+    direction = np.zeros(np.shape(gradient[key]))
+    direction[at] = step
+    return direction
+
+
 def check(mi, scene, steps):
-    """All kinds in one reverse pass, against differences one by one; the gradients and the weights of the image."""
-    params = mi.traverse(scene)
-    found, weight = gradients(mi, scene, params, list(dict.fromkeys(key for key, *_ in steps)))
+    """All kinds in one reverse pass, against differences one by one; then all at once in forward mode."""
+    params, rng = mi.traverse(scene), np.random.default_rng(3)
+    gradient, weight = gradients(mi, scene, params, list(dict.fromkeys(key for key, *_ in steps)))
     for key, at, step in steps:
-        direction = np.zeros(np.shape(found[key]))
-        direction[at] = step
-        expected = difference(mi, scene, params, weight, key, direction)
+        direction = along(gradient, key, at, step)
+        expected = difference(mi, scene, params, weight, {key: direction})
         assert abs(expected) > 1e-3, key  # more than nothing happens
-        assert float((found[key] * direction).sum()) == pytest.approx(expected, rel=1e-6), (key, at)
-    return found, weight
+        assert float((gradient[key] * direction).sum()) == pytest.approx(expected, rel=1e-6), (key, at)
+    every = {key: rng.normal(size=value.shape) / np.abs(value).max() for key, value in gradient.items()}
+    changed = forward(mi, scene, params, every) * weight  # in single precision
+    expected = sum(float((gradient[key] * direction).sum()) for key, direction in every.items())
+    assert float(changed.sum()) == pytest.approx(expected, abs=1e-6 * np.abs(changed).sum())
 
 
-@pytest.mark.slow
-def test_stars_and_attitude(mi):
-    """Directions, rates, and attitude of stars and camera; forward mode tells the same."""
-    import drjit as dr
+QUICK = {
+    "in front": [("defocus_mm", 0, 1e-3), ("curvature_per_mm", 1, 1e-5), ("index_offset", 1, 1e-5)],
+    "behind": [("attitude_rad", 1, 3e-6), ("decentre_mm", (1, 0), 1e-3), ("rate_rad_per_s", 0, 4e-6)],
+}
 
-    scene = scene_of(mi, "star_camera_206mm")
-    steps = [
-        ("stars.direction", (0, 0), 3e-7),
-        ("stars.direction", (1, 1), 3e-7),
-        ("stars.photon_rate", (1, 0, 2), 1.0),
-        ("camera.attitude_rad", 0, 3e-7),
-        ("camera.attitude_rad", 1, 3e-7),
-        ("camera.attitude_rad", 2, 1e-4),
-    ]
-    check(mi, scene, steps)
+
+@pytest.mark.parametrize("diffraction", ["rays", "exact_waves"])
+@pytest.mark.parametrize("stop", QUICK)
+def test_derivative_along_a_direction(mi, request, stop, diffraction):
+    """A singlet at rest (stop in front) or on a trail (behind), several parameters at once, reverse and forward."""
+    if diffraction != "rays":
+        request.getfixturevalue("by_direct_sums")
+    rate = None if stop == "in front" else (-3e-4, 6e-4, 0.0)
+    blur = {"charge_diffusion_px": 0.3}
+    scene = scene_of(mi, singlet(stop), stars=1, colours=1, rate=rate, diffraction=diffraction, **blur)
     params = mi.traverse(scene)
-    turn = params["camera.attitude_rad"]
-    dr.enable_grad(turn)
-    image = mi.render(scene, params)
-    dr.set_grad(turn, mi.TensorXf64(np.array([0.0, 1.0, 0.0])))
-    dr.enqueue(dr.ADMode.Forward, turn)
-    dr.traverse(dr.ADMode.Forward)
-    forward = dr.grad(image).numpy()
-    dr.disable_grad(turn)
-    weight = moments(scene).astype(float)
-    expected = difference(mi, scene, params, weight, "camera.attitude_rad", np.array([0.0, 3e-7, 0.0])) / 3e-7
-    assert float((forward * weight).sum()) == pytest.approx(expected, rel=1e-6)
+    gradient, weight = gradients(mi, scene, params, [f"camera.{key}" for key, *_ in QUICK[stop]])
+    direction = {f"camera.{key}": along(gradient, f"camera.{key}", at, step) for key, at, step in QUICK[stop]}
+    expected = difference(mi, scene, params, weight, direction)
+    assert abs(expected) > 0.01
+    assert sum(float((gradient[key] * v).sum()) for key, v in direction.items()) == pytest.approx(expected, rel=1e-5)
+    assert float((forward(mi, scene, params, direction) * weight).sum()) == pytest.approx(expected, rel=1e-5)
+
+
+CASES = {
+    "stars and attitude": ("star_camera_206mm", {}, [
+        ("stars.direction", (0, 0), 3e-7), ("stars.direction", (1, 1), 3e-7), ("stars.photon_rate", (1, 0, 2), 1.0),
+        ("camera.attitude_rad", 0, 3e-7), ("camera.attitude_rad", 1, 3e-7), ("camera.attitude_rad", 2, 1e-4),
+    ]),
+    "stop in front": ("star_camera_206mm", {}, [
+        ("camera.curvature_per_mm", 2, 5e-9), ("camera.thickness_mm", 2, 1e-4), ("camera.temperature_c", 0, 0.03),
+        ("camera.index_offset", 1, 1e-6), ("camera.decentre_mm", (1, 0), 3e-5), ("camera.tilt_deg", (1, 1), 1e-5),
+    ]),
+    "stop inside": ("star_tracker_26mm", {}, [  # aspheres, and outlines of beams that move with the lens
+        ("camera.curvature_per_mm", 1, 1.5e-6), ("camera.conic", 0, 2e-3), ("camera.asphere", (10, 0), 5e-7),
+        ("camera.decentre_mm", (1, 0), 3e-4), ("camera.attitude_rad", 0, 4e-6),
+    ]),
+    "trail, stop in front": ("star_camera_206mm", {"rate": (5e-5, -1e-4, 3e-4)}, [
+        ("camera.rate_rad_per_s", 0, 3e-7), ("camera.defocus_mm", 0, 2e-5),
+    ]),
+    "trail, stop inside": ("star_tracker_26mm", {"rate": (-1e-3, 2e-3, 0.0)}, [
+        ("camera.rate_rad_per_s", 0, 4e-6), ("camera.attitude_rad", 1, 4e-6),
+    ]),
+    "waves, stop in front": ("star_camera_206mm", {"diffraction": "exact_waves"}, [
+        ("camera.curvature_per_mm", 2, 2e-8), ("camera.thickness_mm", 2, 3e-4), ("camera.tilt_deg", (1, 1), 3e-5),
+        ("camera.temperature_c", 0, 0.1), ("camera.defocus_mm", 0, 1e-3), ("stars.direction", (0, 0), 3e-7),
+        ("stars.photon_rate", (0, 0, 0), 1.0),
+    ]),
+    "waves, trail, stop inside": (
+        "star_tracker_26mm",
+        {"diffraction": "exact_waves", "rate": (-3e-4, 5e-4, 0.0), "pixel_pitch_mm": 2.5e-3, "defocus_mm": 0.01},
+        [("camera.rate_rad_per_s", 1, 2e-6), ("camera.attitude_rad", 0, 1e-6)],
+    ),
+}  # fmt: skip
 
 
 @pytest.mark.slow
-def test_lens_with_its_stop_in_front(mi):
-    """The stop in front of all glass: the launch disk is the stop. The documentation's lines do the same."""
-    import drjit as dr
+@pytest.mark.parametrize("case", CASES)
+def test_every_parameter(mi, request, case):
+    lens, settings, steps = CASES[case]
+    if "diffraction" in settings:
+        request.getfixturevalue("by_direct_sums")
+        settings = settings | {"stars": 1, "colours": 1, "charge_diffusion_px": 0.3}  # less ends with the pixel's table
+    check(mi, scene_of(mi, lens, **settings), steps)
 
+
+@pytest.mark.slow
+def test_lines_of_the_documentation(mi):
     text = (Path(__file__).parents[3] / "docs" / "rendering.md").read_text(encoding="utf-8")
     lines = re.search(r"## Derivatives\n\n```python\n(.*?)```", text, flags=re.DOTALL)[1]
     scene = scene_of(mi, "star_camera_206mm")
@@ -195,134 +263,7 @@ def test_lens_with_its_stop_in_front(mi):
     weight = moments(scene)
     names = {"mi": mi, "dr": dr, "scene": scene, "weight": mi.TensorXf(weight)}
     exec(compile(lines, "rendering.md", "exec"), names)
-    found = float(dr.grad(names["params"]["camera.defocus_mm"]).numpy()[0])
-    step = np.array([1e-4])
-    expected = difference(mi, scene, mi.traverse(scene), weight.astype(float), "camera.defocus_mm", step)
-    assert found * 1e-4 == pytest.approx(expected, rel=1e-6)
-    steps = [
-        ("camera.curvature_per_mm", 2, 5e-9),
-        ("camera.thickness_mm", 2, 1e-4),
-        ("camera.temperature_c", 0, 0.03),
-        ("camera.index_offset", 1, 1e-6),
-        ("camera.decentre_mm", (1, 0), 3e-5),
-        ("camera.tilt_deg", (1, 1), 1e-5),
-    ]
-    check(mi, scene_of(mi, "star_camera_206mm"), steps)
-
-
-@pytest.mark.slow
-def test_lens_with_its_stop_inside(mi):
-    """Aspheres, and outlines of beams that move with the lens."""
-    steps = [
-        ("camera.curvature_per_mm", 1, 1.5e-6),
-        ("camera.conic", 0, 2e-3),
-        ("camera.asphere", (10, 0), 5e-7),
-        ("camera.decentre_mm", (1, 0), 3e-4),
-        ("camera.attitude_rad", 0, 4e-6),
-    ]
-    check(mi, scene_of(mi, "star_tracker_26mm"), steps)
-
-
-WAVES = {
-    "star_camera_206mm": (
-        (206.2, 5.5e-3, 0.03),
-        [
-            ("camera.curvature_per_mm", 2, 2e-8),
-            ("camera.thickness_mm", 2, 3e-4),
-            ("camera.tilt_deg", (1, 1), 3e-5),
-            ("camera.temperature_c", 0, 0.1),
-            ("camera.defocus_mm", 0, 1e-3),
-            ("stars.direction", (0, 0), 3e-7),
-            ("stars.photon_rate", (0, 0, 0), 1.0),
-        ],
-    ),
-    "star_tracker_26mm": (
-        (26.0, 2.5e-3, 0.01),
-        [
-            ("camera.conic", 0, 2e-3),
-            ("camera.asphere", (10, 0), 4e-7),
-            ("camera.index_offset", 0, 1e-5),
-            ("camera.decentre_mm", (1, 0), 1e-4),
-            ("camera.attitude_rad", 0, 1e-6),
-        ],
-    ),
-}
-TRAILS = {
-    "star_camera_206mm": ((5e-5, -1e-4, 3e-4), [("camera.rate_rad_per_s", 1, 1e-6)]),
-    "star_tracker_26mm": ((-3e-4, 5e-4, 0.0), [("camera.rate_rad_per_s", 1, 2e-6)]),
-}
-"""Angular velocities [rad/s], and what is differentiated besides the last number of the star at rest."""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("lens", "moving"), [("star_camera_206mm", False), ("star_tracker_26mm", True)])
-def test_diffraction_images(mi, by_direct_sums, lens, moving):
-    """Every kind of parameter by waves, in reverse and in forward mode: a stop in front, and one inside."""
-    import drjit as dr
-
-    (bench, steps), (rate, more) = WAVES[lens], TRAILS[lens]
-    blur = {"charge_diffusion_px": 0.3}  # leaves less of what ends with the table of a pixel's kernel
-    scene = scene_of(mi, lens, stars=1, colours=1, bench=bench, diffraction="exact_waves", **blur)
-    if moving:
-        params = mi.traverse(scene)
-        params["camera.rate_rad_per_s"] = mi.TensorXf64(np.array(rate))
-        params.update()
-        mi.render(scene)
-        assert 1.0 < scene.sensors()[0].star_motion.length_px < 3.5
-        steps = [*more, steps[-1]]
-    found, weight = check(mi, scene, steps)
-    # all of them at once, forwards
-    params, rng = mi.traverse(scene), np.random.default_rng(3)
-    along = {key: rng.normal(size=value.shape) / np.abs(value).max() for key, value in found.items()}
-    for key, direction in along.items():
-        dr.enable_grad(params[key])
-        dr.set_grad(params[key], mi.TensorXf64(direction))
-    changed = dr.forward_to(mi.render(scene, params)).numpy() * weight  # in single precision
-    expected = sum(float((found[key] * direction).sum()) for key, direction in along.items())
-    assert float(changed.sum()) == pytest.approx(expected, abs=1e-6 * np.abs(changed).sum())
-
-
-@pytest.mark.slow
-def test_trails(mi):
-    """Stars that move by some two pixels: rate, focus and attitude; a stop in front, and one inside."""
-    cases = {
-        "star_camera_206mm": ((5e-5, -1e-4, 3e-4), 3e-7, ("camera.defocus_mm", 0, 2e-5)),
-        "star_tracker_26mm": ((-1e-3, 2e-3, 0.0), 4e-6, ("camera.attitude_rad", 1, 4e-6)),
-    }
-    for lens, (rate, step, other) in cases.items():
-        scene = scene_of(mi, lens)
-        params = mi.traverse(scene)
-        params["camera.rate_rad_per_s"] = mi.TensorXf64(np.array(rate))
-        params.update()
-        mi.render(scene)
-        assert 1.0 < scene.sensors()[0].star_motion.length_px < 3.5
-        check(mi, scene, [("camera.rate_rad_per_s", 0, step), other])
-
-
-@pytest.mark.slow
-def test_what_has_no_derivative_is_refused(mi):
-    """OutlineSearch by Sobol points (no diffusion, a stop inside), and bodies in the same image."""
-    import drjit as dr
-
-    scene = scene_of(mi, "star_tracker_26mm", charge_diffusion_px=0.0)
-    params = mi.traverse(scene)
-    dr.enable_grad(params["stars.photon_rate"])
-    image = mi.render(scene, params)
-    with pytest.raises(Exception, match=r"star 0 has no derivative: its beam is sampled by sobol"):
-        dr.backward(dr.sum(image, axis=None))
-
-
-def test_numbers_that_a_surface_has_not(mi):
-    """A plane has no curvature, a sphere no conic constant; a stop that stands alone is not tilted."""
-    scene = scene_of(mi, "star_camera_206mm")
-    params = mi.traverse(scene)
-    for key, at, message in (
-        ("camera.conic", 1, "is a sphere; it has no conic"),
-        ("camera.tilt_deg", (0, 0), "is a separate stop"),
-    ):
-        value = np.array(params[key].numpy(), float)
-        kept = value.copy()
-        value[at] = 0.1
-        params[key] = mi.TensorXf64(value)
-        refuses(Exception, message, params.update)
-        params[key] = mi.TensorXf64(kept)
+    gradient = float(dr.grad(names["params"]["camera.defocus_mm"]).numpy()[0])
+    step = {"camera.defocus_mm": np.array([1e-4])}
+    expected = difference(mi, scene, mi.traverse(scene), weight.astype(float), step)
+    assert gradient * 1e-4 == pytest.approx(expected, rel=1e-6)

@@ -259,22 +259,3 @@ def test_projective_integrators(mi):
     dr.disable_grad(value)
     with pytest.raises((ConfigError, RuntimeError), match="lens_camera: prb_projective and direct_projective"):
         differentiated("wall.vertex_positions")
-
-
-@pytest.mark.parametrize(
-    ("changes", "text"),
-    [
-        ({"motion_duration_s": 0.0}, "must be positive"),
-        ({"line_time_s": -1.0}, "not negative"),
-        ({"count": 1}, "m >= 2"),
-        ({"shutter_close": 0.0}, "needs shutter_open"),
-    ],
-)
-def test_motion_refused(mi, changes, text):
-    camera = Camera(lens=load_lens("star_camera_206mm"), width_px=4, height_px=4, pixel_pitch_mm=0.01)
-    settings = {"motion_duration_s": 1.0, "line_time_s": 0.0, "shutter_close": 1.0, "count": 3} | changes
-    table = np.broadcast_to(np.eye(3), (1, settings.pop("count"), 3, 3))
-    with pytest.raises((ConfigError, RuntimeError), match=text):
-        mi.load_dict(
-            lens_camera_properties(camera, motion_rotation=mi.TensorXf64(np.ascontiguousarray(table)), **settings)
-        )

@@ -7,13 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from refusals import refuses
 from scipy.spatial.transform import Rotation
 
 from render.camera import Camera
 from render.forward import StarRenderer
 from render.motion.trajectory import ConstantRate
-from render.plugins.camera_properties import share_camera
 from render.tracing.motion.exposure import exposure_motion
 
 ROOT = Path(__file__).parents[3]
@@ -120,80 +118,6 @@ def test_other_variants(mi, suffix):
         Engine.start(backend)
         assert mi.variant() == original
         assert register_plugins() is first
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"lens": "star_camera_206m"}, r"ConfigError: unknown lens 'star_camera_206m'.*star_camera_206mm"),
-        ({"lens": None}, "ConfigError: lens_camera: property 'lens' is missing"),
-        ({"pixel_pitch_um": None}, "ConfigError: lens_camera: property 'pixel_pitch_um' is missing"),
-        ({"pixel_pitch_um": -5.5}, r"pixel_pitch_um = -5.5 um; it must be positive"),
-        ({"camera": "camera-0"}, "ConfigError: unknown camera handle 'camera-0'"),
-        ({"wavelength_nm": 150.0}, r"DomainError: wavelength 150 nm is outside .* the range of glass N-FK51A"),
-        ({"charge_diffusion_um": -1.0}, "DomainError: Camera.charge_diffusion_px"),
-        ({"shutter_open": 2.0}, "[Ss]hutter opening time"),
-        ({"defocus_m": 1.0}, 'unreferenced property(.|\n)*"defocus_m"'),
-    ],
-)
-def test_bad_sensor_properties(mi, changes, message):
-    properties = {k: v for k, v in ({**CAMERA, "film": FILM} | changes).items() if v is not None}
-    with pytest.raises(RuntimeError, match=message):  # Mitsuba wraps what a plugin raises
-        mi.load_dict(properties)
-
-
-def test_scaling_to_world_and_turned_shared_cameras_are_refused(mi, bench):
-    scaled = mi.ScalarTransform4f().scale(2.0)
-    with pytest.raises(RuntimeError, match=r"to_world scales by 2; give scene_unit_mm"):
-        mi.load_dict({**CAMERA, "film": FILM, "to_world": scaled})
-    camera = bench.camera_of()
-    film = {**FILM, "width": camera.width_px, "height": camera.height_px}
-    turned = mi.ScalarTransform4f().rotate([0, 1, 0], 10.0)
-    with pytest.raises(RuntimeError, match="a shared camera has its own attitude"):
-        mi.load_dict({"type": "lens_camera", "camera": share_camera(camera), "film": film, "to_world": turned})
-    with pytest.raises(RuntimeError, match=r"film of 300 x 200 px for a camera of 4096 x 2048 px"):
-        mi.load_dict({"type": "lens_camera", "camera": share_camera(camera), "film": FILM})
-    moved = mi.ScalarTransform4f().translate([1, 2, 3])
-    assert "4096 x 2048" in str(
-        mi.load_dict({"type": "lens_camera", "camera": share_camera(camera), "film": film, "to_world": moved})
-    )
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"direction": None}, "ConfigError: star_field: property 'direction' is missing"),
-        ({"band": "one"}, r"DomainError: StarField.wavelength_nm: shape \(2, 2\) where \(1, 2\)"),
-        ({"flux": 1.0}, 'unreferenced property(.|\n)*"flux"'),
-    ],
-)
-def test_bad_star_field_properties(mi, changes, message):
-    good = star_field(mi, unit([0.0], [0.0]))
-    refuses(RuntimeError, message, lambda: mi.load_dict({k: v for k, v in (good | changes).items() if v is not None}))
-
-
-def test_what_star_tracer_needs(mi):
-    """Mitsuba wraps what an integrator raises; the cause is ours. `StarRenderer` hands the cause on."""
-    from optics.errors import ConfigError, DomainError
-
-    scene = foreign_scene(mi, unit([0.0], [0.0]))
-    for changes, kind, message in (
-        ({"stars": None}, ConfigError, r"the scene holds 0 star_field emitters; exactly one is needed"),
-        ({"more": star_field(mi, unit([0.0], [0.0]))}, ConfigError, r"the scene holds 2 star_field emitters"),
-        (
-            {"sensor": {"type": "perspective", "film": FILM}},
-            ConfigError,
-            r"the sensor is a .*; a lens_camera is needed",
-        ),
-        ({"stars": star_field(mi, -unit([0.0], [0.0]))}, DomainError, r"star 0 lies behind the camera"),
-    ):
-        changed = {k: v for k, v in (scene | changes).items() if v is not None}
-        with pytest.raises(RuntimeError) as caught:
-            mi.render(mi.load_dict(changed))
-        assert isinstance(caught.value.__cause__, kind)
-        assert re.search(message, str(caught.value.__cause__))
-    with pytest.raises(RuntimeError, match=r"sobol_log2_rays = 99 is outside 6 ... 26"):
-        mi.load_dict({"type": "star_tracer", "sobol_log2_rays": 99})
 
 
 def test_stock_integrators_do_not_see_the_stars(mi):

@@ -66,14 +66,6 @@ def test_every_sensor_has_its_image_and_truth(mi, bench, camera):
     assert not np.array_equal(*images)
 
 
-def test_films_that_cannot_hold_pixels_of_a_detector_are_refused(mi, bench, camera):
-    scene = star_scene(camera, bench.stars_at(camera, [40.0], [40.0], nodes=1))
-    scene["camera"]["film"] |= {"rfilter": {"type": "gaussian"}}
-    with pytest.raises(RuntimeError) as caught:
-        mi.render(mi.load_dict(scene))
-    assert "reconstruction filter would blur" in str(caught.value.__cause__)
-
-
 @pytest.mark.slow
 def test_saved_scene_renders_to_the_same_bytes(mi, bench, camera, tmp_path):
     """Frames of one renderer, whose scene is kept up to date, against scenes that Mitsuba reads from files."""

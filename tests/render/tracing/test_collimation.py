@@ -4,9 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from refusals import refuses
 
-from optics.errors import DomainError
 from optics.light.collimation import Collimation
 from optics.rays.pupil_sampling import gauss_disk
 from optics.rays.trace import Rays, trace
@@ -68,12 +66,3 @@ def test_vergence_is_a_source_at_a_distance(engine, bench):
         spread = (power - mean**2) / camera.pixel_pitch_mm**2
         assert truth.variance_x_px2[0, band] == pytest.approx(spread, rel=1e-3)
         assert abs(spread / still[band] - 1.0) > 0.1  # otherwise nothing would be seen
-
-
-def test_bad_collimation(bench):
-    stars = bench.stars_at(bench.camera_of(film=False), 2000.0, 1000.0, bands=LINES)
-    nothing = np.zeros((1, 2)), np.zeros((1, 2, 2))
-    with pytest.raises(DomainError, match="wavelengths that increase"):
-        Collimation(wavelength_nm=np.array([[600.0, 500.0]]), slope_rad=nothing[1], vergence_per_mm=nothing[0])
-    one = Collimation(wavelength_nm=np.array([[500.0, 600.0]]), slope_rad=nothing[1], vergence_per_mm=nothing[0])
-    refuses(DomainError, "of 1 bands, the field of 2", replace, stars, collimation=one)

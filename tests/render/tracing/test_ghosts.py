@@ -7,9 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fields import star_field
-from refusals import refuses
 
-from optics.errors import DomainError
 from optics.frames import field_direction
 from optics.glass.coating import QuarterWave
 from optics.lens.ideal_lens import ideal_lens
@@ -122,8 +120,3 @@ def test_a_source_beside_the_frame_is_its_points(engine, camera, radius_rad):
     for axis in (0, 1):
         first, second = (one.sum(axis=axis, dtype=float).cumsum() / one.sum(dtype=float) for one in (light, drawn))
         np.testing.assert_allclose(first, second, atol=0.03)
-
-
-def test_bad_settings():
-    refuses(DomainError, "least_e", GhostLight, least_e=0.0)
-    refuses(DomainError, "reflectance", GhostLight, least_e=1.0, detector_reflectance=1.5)

@@ -7,12 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fields import star_field
-from refusals import refuses
 
-from optics.errors import DomainError
 from optics.frames import field_direction
 from optics.lens.ideal_lens import ideal_lens
-from optics.light.bsdf import ABg, HarveyShack, polished
+from optics.light.bsdf import ABg, polished
 from render.camera import Camera, FarLight
 from render.tracing.tracer import TracedStars, Tracer
 
@@ -61,7 +59,3 @@ def test_a_pixel_holds_radiance_times_solid_angle(engine, camera):
         beta = np.hypot(column - x, row - y) * PER_PX
         expected = 1e8 * law.a / (law.b + beta**2) * PER_PX**2
         assert float(made.halo[row, column, 0]) == pytest.approx(expected, rel=2e-3)
-
-
-def test_too_much_scatter_is_refused(camera):
-    refuses(DomainError, "scatter", lambda: replace(camera, scatter=HarveyShack(b0=1e5, shoulder=0.01, slope=-2.0)))

@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fields import star_field
-from refusals import refuses
 from scipy.special import ndtr
 
-from optics.errors import DomainError
 from optics.frames import field_angles_deg, field_direction
 from optics.lens_file import load_lens
 from optics.rays.spots import trace_spots
@@ -56,18 +54,6 @@ def test_light_is_conserved_and_centred(engine, bench):
             assert abs(offset @ psf.values.sum(1)) / psf.oversampling**2 < 1e-5
 
 
-@pytest.mark.slow
-def test_bad_requests(engine, bench):
-    camera = bench.camera_of(film=False)
-    tracer = epsf_tracer(camera)
-    stars = bench.stars_at(camera, 500.0, 500.0)
-    for oversampling in (0, 1, 3):
-        with pytest.raises(DomainError, match=r"oversampling = \d; an even number of at least 2"):
-            render_epsf(tracer, stars, oversampling=oversampling)
-    beside = bench.stars_at(camera, 0, 0, direction=np.array([[np.sin(0.9), 0.0, np.cos(0.9)]]))
-    refuses(DomainError, "star 0: none of its light reaches the detector", render_epsf, tracer, beside)
-
-
 def test_one_ray_is_the_diffusion_kernel_on_pixels():
     """A ray at the mean lies on a corner of four cells; counted in one of them, it is not half a cell off."""
     psf = ray_epsf(np.array([3.2]), np.array([-1.0]), np.array([2.0]), diffusion_px=0.5, oversampling=16)
@@ -108,12 +94,6 @@ def test_a_trail_across_the_columns_is_an_integral_of_the_star():
     psf = trailed(EffectivePsf(values=np.outer(still, still), oversampling=8), np.array([length, 0.0]))
     assert psf.values.sum() / 64.0 == pytest.approx(1.0, abs=1e-12)  # the grid grew by the trail: all light is there
     np.testing.assert_allclose(psf.values[16:-16, 16:-16], np.outer(still, moved), atol=1e-9)
-
-
-def test_rays_refused():
-    one = np.ones(1)
-    refuses(DomainError, "even", ray_epsf, one, one, one, diffusion_px=0.1, oversampling=3)
-    refuses(DomainError, "no light", ray_epsf, one, one, 0.0 * one, diffusion_px=0.1)
 
 
 PIXEL = {"pitch_mm": 5.5e-3, "diffusion_px": 0.18}
@@ -161,8 +141,3 @@ def test_a_pupil_that_is_not_clear_is_summed_ray_by_ray(monkeypatch):
     np.testing.assert_allclose(summed, clear, atol=1e-4)
     radius = 0.5
     assert wave_images(lens, field, wave, **PIXEL).psfs(np.ones(1))[0].values.max() < 0.97 * summed.max()
-
-
-def test_refused():
-    with pytest.raises(DomainError, match="even"):
-        wave_images(load_lens("star_camera_206mm"), np.zeros(1), np.array([600.0]), oversampling=3, **PIXEL)

@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from optics.errors import DomainError
 from optics.frames import field_angles_deg
 from optics.lens.perturb import decentre
 from optics.lens_file import load_lens
 from optics.rays.chief_ray import chief_ray_points
-from render.records import StarField
 from render.tracing.convergence import TOLERANCE
 from render.tracing.tracer import Tracer
 
@@ -273,33 +271,3 @@ def test_star_whose_rays_all_fail_is_flagged_in_its_truth(engine, bench):
     assert truth.electrons_vignetted[1, 0] == pytest.approx(truth.electrons_in[1, 0], rel=1e-12)
     assert truth.missing.tolist() == [[""], ["apertures of the lens stop all light of the star"]]
     assert traced.electrons.astype(float).sum() == pytest.approx(truth.electrons_image[0, 0], rel=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"direction": [[0.0, 0.0, -1.0]]}, r"star 0 lies behind the camera \(180.0 deg"),
-        ({"direction": [[1.0, 0.0, 0.0]]}, r"behind the camera \(90.0 deg"),
-        ({"wavelength_nm": [[2600.0]]}, r"wavelength 2600 nm is outside 290 ... 2500 nm, the range of glass N-FK51A"),
-        ({"wavelength_nm": [[-5.0]]}, r"wavelength_nm contains -5 nm"),
-        ({"photon_rate": [[[-1.0]]]}, r"photon_rate of star 0 is negative \(-1 photons/s/mm\^2\)"),
-        ({"photon_rate": [[[np.nan]]]}, r"photon_rate: value at index \[0, 0, 0\] is nan"),
-        ({"direction": [[0.0, np.inf, 1.0]]}, r"direction: value at index \[0, 1\] is inf"),
-        ({"direction": [[0.0, 0.1, 1.0]]}, r"direction\[0\] has length 1.00498"),
-        ({"band": ("a", "b")}, r"wavelength_nm: shape \(1, 1\) where \(2, 1\) is needed"),
-    ],
-)
-def test_bad_stars_are_named(engine, bench, change, message):
-    good = {"direction": [[0.0, 0.0, 1.0]], "wavelength_nm": [[600.0]], "photon_rate": [[[1.0]]], "band": ("a",)}
-    tracer = Tracer(bench.camera_of(film=False))
-    for action in (lambda s: tracer.render(s, exposure_s=1.0), tracer.bundle_means):
-        with pytest.raises(DomainError, match=message) as caught:
-            action(StarField(**(good | change)))
-        assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("exposure_s", [0.0, -1.0, np.nan, np.inf])
-def test_bad_exposure(engine, bench, exposure_s):
-    camera = bench.camera_of()
-    with pytest.raises(DomainError, match=r"exposure .* s; it must be positive"):
-        Tracer(camera).render(bench.stars_at(camera, 10.0, 10.0), exposure_s=exposure_s)

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from optics.errors import DomainError
 from render.tracing.rays import images as passes
 from render.tracing.rays import kernel as star_kernel
 from render.tracing.rays.kernel import reach_px, strips_per_pixel
@@ -160,12 +159,6 @@ def test_stamp_that_is_too_small_is_done_again(engine, bench, monkeypatch):
     assert got.sampling == expected.sampling  # light beside the stamp is not lost in the lens
     assert got.truth.electrons_vignetted.max() == 0.0
     assert np.abs(got.electrons - expected.electrons).max() < 1e-6 * expected.truth.electrons_in.max()
-
-
-def test_image_larger_than_the_largest_stamp(engine, bench):
-    camera = bench.camera_of(defocus_mm=30.0)
-    with pytest.raises(DomainError, match=r"star 0 is \d+ px wide; at most 1024 px .*defocus_mm = 30 mm"):
-        Tracer(camera, sobol_log2_rays=8).render(bench.stars_at(camera, 2000, 1000, nodes=1), exposure_s=1.0)
 
 
 def test_reach_and_strips():

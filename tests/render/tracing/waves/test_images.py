@@ -10,7 +10,6 @@ import pytest
 from fields import star_field
 from scipy.spatial.transform import Rotation
 
-from optics.errors import ConfigError, DomainError
 from optics.frames import field_direction
 from optics.lens.perturb import decentre
 from optics.lens.system import LensSystem
@@ -261,14 +260,6 @@ def test_a_star_beside_the_detector_costs_nothing_and_is_off_the_edge(engine):
     traced = Tracer(camera).render(star_field(field_direction(1.0, 0.0), 600.0), exposure_s=1.0)
     assert not traced.sampling
     assert traced.truth.electrons_off_edge == pytest.approx(traced.truth.electrons_in)
-
-
-def test_bad_input_is_refused_by_name(engine):
-    with pytest.raises(ConfigError, match=r"unknown diffraction 'wave'; did you mean waves"):
-        camera_of("star_camera_206mm", diffraction="wave")
-    stars = star_field(field_direction(0.0, 0.0), 600.0)
-    with pytest.raises(DomainError, match=r"set diffraction = 'rays', which suffices for such images"):
-        Tracer(camera_of("star_camera_206mm", defocus_mm=4.0)).render(stars, exposure_s=1.0)
 
 
 @pytest.mark.slow
