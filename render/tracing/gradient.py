@@ -139,12 +139,9 @@ class AttachedTrace:
     ) -> Rays:
         """Rays of light's directions through points of the launch disk, on the image plane or at the stop."""
         x0, y0, z0, radius = bundle.disk
-        dx, dy, dz = (dr.gather(self.F, component, star) for component in light)
-        zero = dr.zeros(self.I, dr.width(star))
-        rays = Rays(
-            x=x0 + px * radius, y=y0 + py * radius, z=z0 + 0.0 * px, dx=dx, dy=dy, dz=dz,
-            wavelength_nm=wave, opl_mm=self.F(0.0), status=zero, failed_at=zero - 1,
-        )  # fmt: skip
+        direction = [dr.gather(self.F, component, star) for component in light]
+        start = (x0 + px * radius, y0 + py * radius, z0 + 0.0 * px)
+        rays = self.xp.rays(start, direction, wave, dr.width(star))
         if not to_stop:
             return trace_program(self.numbers.program, bundle.theta, rays, self.xp)
         found: list[Rays] = []

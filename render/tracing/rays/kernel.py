@@ -176,22 +176,10 @@ class StarKernel:
     def rays(self, star: Any, px: Any, py: Any, wavelength_nm: Any, error: Any = None) -> Rays:
         """Rays of stars through points of the launch disk; ``error`` as `optics.light.collimation.decollimated`."""
         x0, y0, z0, radius = self.disk
-        dx, dy, dz = (dr.gather(self.F, component, star) for component in self.light)
+        direction = [dr.gather(self.F, component, star) for component in self.light]
         if error is not None:
-            dx, dy, dz = decollimated((dx, dy, dz), px * radius, py * radius, error, dr.sqrt)
-        zero = dr.zeros(self.I, 1)
-        return Rays(
-            x=x0 + px * radius,
-            y=y0 + py * radius,
-            z=z0,
-            dx=dx,
-            dy=dy,
-            dz=dz,
-            wavelength_nm=wavelength_nm,
-            opl_mm=self.F(0.0),
-            status=zero,
-            failed_at=zero - 1,
-        )
+            direction = decollimated(tuple(direction), px * radius, py * radius, error, dr.sqrt)
+        return self.xp.rays((x0 + px * radius, y0 + py * radius, z0), direction, wavelength_nm)
 
     def launch(
         self, star: Any, px: Any, py: Any, wavelength_nm: Any, error: Any = None, program: LensProgram | None = None
