@@ -4,11 +4,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from refusals import refuses
 from scipy.integrate import quad
 
-from optics.errors import ConfigError, DomainError
-from optics.light.band import Band, BandNodes, TabulatedBand, TopHat, band_nodes
+from optics.light.band import Band, TabulatedBand, TopHat, band_nodes
 from optics.light.spectrum import Blackbody
 
 STAR = Blackbody(temperature_k=6000.0)
@@ -108,51 +106,3 @@ def test_nodes_are_locked_and_integrate_over_leading_axes() -> None:
     assert nodes.integrate(np.ones((7, 2, 4))) == pytest.approx(np.tile([100.0, 50.0], (7, 1)))
     with pytest.raises(ValueError, match="read-only"):
         nodes.weight_nm[0, 0] = 1.0
-    with pytest.raises(DomainError, match="shape"):
-        BandNodes(name=("a",), wavelength_nm=np.ones((1, 3)), weight_nm=np.ones((1, 4)), transmission=np.ones((1, 3)))
-
-
-@pytest.mark.parametrize(
-    ("change", "part"),
-    [
-        ({"width_nm": -1.0}, "width -1 nm"),
-        ({"width_nm": 0.0}, "width 0 nm"),
-        ({"centre_nm": float("nan")}, "nan"),
-        ({"edge_nm": -1.0}, "edge -1 nm"),
-        ({"edge_nm": 101.0}, "edge 101 nm"),
-        ({"edge_nm": float("nan")}, "edge nan nm"),
-        ({"peak": 1.5}, "1.5"),
-        ({"peak": 0.0}, "0 excluded"),
-        ({"centre_nm": 40.0}, "below 0 nm"),
-    ],
-)
-def test_bad_top_hats(change: dict[str, float], part: str) -> None:
-    assert "\n" not in refuses(DomainError, part, TopHat, **{"centre_nm": 600.0, "width_nm": 100.0} | change)
-
-
-@pytest.mark.parametrize(
-    ("wave", "value", "part"),
-    [
-        ([600.0, 500.0], [0.5, 0.5], "must increase"),
-        ([500.0, 600.0], [0.5, 1.1], "value 1.1 at 600 nm"),
-        ([500.0, 600.0], [-0.5, 0.5], "value -0.5 at 500 nm"),
-        ([500.0, 600.0], [float("nan"), 0.5], "nan"),
-        ([500.0, 600.0], [0.0, 0.0], "opaque"),
-    ],
-)
-def test_bad_tables(wave: list[float], value: list[float], part: str) -> None:
-    refuses(DomainError, part, TabulatedBand, name="bad", source="test", wavelength_nm=wave, value=value)
-
-
-def test_other_mistakes() -> None:
-    band = TopHat(centre_nm=600.0, width_nm=100.0, edge_nm=10.0)
-    refuses(ConfigError, "no band", band_nodes, [], 4)
-    refuses(DomainError, "0 nodes", band_nodes, [band], 0)
-    refuses(DomainError, "NaN", lambda: band.transmission([500.0, float("nan")]))
-    with pytest.raises(ConfigError, match="source"):
-        TabulatedBand(name="x", source="", wavelength_nm=np.array([1.0, 2.0]), value=np.array([1.0, 1.0]))
-    gap = TabulatedBand(
-        name="two peaks", source="test", wavelength_nm=np.array([500.0, 510.0, 520.0, 680.0, 690.0, 700.0]),
-        value=np.array([0.0, 1.0, 0.0, 0.0, 1.0, 0.0]),
-    )  # fmt: skip
-    refuses(DomainError, "opaque at 600 nm", band_nodes, [gap], 5)

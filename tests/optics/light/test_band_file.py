@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-from refusals import refuses
 
-from optics.errors import ConfigError, DomainError
 from optics.light.band_file import load_band
 
 PLAIN = "500,0.0\n510,0.8\n520,0.4\n530,0.0\n"
@@ -35,26 +33,3 @@ def test_the_same_curve_however_it_is_written(text, tmp_path):
     assert np.ptp(band.breakpoints_nm) <= 30.0
     file.write_text(text.lstrip("\ufeff"), encoding="utf-16")  # as spreadsheets export "Unicode text"
     assert load_band(file).transmission([505.0, 510.0]) == pytest.approx([0.4, 0.8], abs=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("text", "error", "said"),
-    [
-        ("500,0\n510,80\n520,0\n", DomainError, "green.csv: transmissions up to 80: .*transmission_percent"),
-        ("0.5,0\n0.51,0.8\n0.52,0\n", DomainError, "up to 0.52: nanometres"),
-        ("nm, %\n500,0\n510,80\n", ConfigError, "line 1: write the header as wavelength_nm, transmission_percent"),
-        ("500,0\n510,high\n520,0\n", ConfigError, "line 2: '510,high': a wavelength and a value"),
-        ("500,0\n", ConfigError, "1 rows"),
-        ("500,0\n520,0.5\n510,0.7\n", DomainError, "wavelengths must increase"),
-        ("500,0\n510,nan\n520,0\n", ConfigError, "line 2.*NaN"),
-        ("500,0\n510,-0.2\n520,0.5\n", DomainError, "-0.2 at 510 nm"),
-        ("500,0\n510,0\n520,0\n", DomainError, "opaque"),
-    ],
-)
-def test_what_is_no_transmission_is_refused_with_what_to_do(text, error, said, tmp_path):
-    (tmp_path / "green.csv").write_text(text, encoding="utf-8")
-    refuses(error, said, load_band, tmp_path / "green.csv")
-
-
-def test_a_missing_file_is_said(tmp_path):
-    refuses(ConfigError, r"absent\.csv: no such file", load_band, tmp_path / "absent.csv")

@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-from refusals import refuses
 from scipy.integrate import quad
 
-from optics.errors import DomainError
 from optics.glass.catalogue import get_glass
 from optics.lens.prescription import lens_from_table
 from optics.light.bsdf import (
@@ -67,13 +65,6 @@ def test_a_lens_scatters_what_its_surfaces_do() -> None:
         assert lens_scatter(lens, 5.0, 500.0) == pytest.approx(0.015791 * known, rel=1e-3)
 
 
-def test_mistakes() -> None:
-    refuses(DomainError, r"cleanliness level 0\.5 is outside 1", area_coverage, 0.5)
-    refuses(DomainError, "not smooth", roughness_tis, 100.0, 500.0, 1.0, -1.0)
-    refuses(DomainError, "shoulder = -1", HarveyShack, b0=1.0, shoulder=-1.0, slope=-2.0)
-    refuses(DomainError, "between 1 um and the level", particles_per_mm2, 100.0, 200.0)
-
-
 @pytest.mark.parametrize("level", [50.0, 300.0, 700.0])
 def test_dust_diffracts_as_much_as_it_covers(level: float) -> None:
     """Babinet: the integral of the diffracted light is the coverage, which is summed elsewhere in closed form."""
@@ -97,7 +88,6 @@ def test_what_dust_throws_on_is_spread_evenly() -> None:
     bare, bright = (Particles(level=300.0, wavelength_nm=600.0, forward=g) for g in (0.0, 0.8))
     apart = bright.bsdf([0.01, 0.5]) - bare.bsdf([0.01, 0.5])
     np.testing.assert_allclose(apart, 0.8 * area_coverage(300.0) / np.pi, rtol=1e-9)
-    refuses(DomainError, "forward", Particles, level=300.0, wavelength_nm=600.0, forward=1.5)
 
 
 def test_a_polished_surface_scatters_what_it_is_told() -> None:

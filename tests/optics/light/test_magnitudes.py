@@ -4,9 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from refusals import refuses
 
-from optics.errors import ConfigError, DomainError
 from optics.light.band import TopHat
 from optics.light.magnitudes import band_integral, band_photon_rate, magnitude_system, photon_rate, synthetic_magnitude
 from optics.light.spectrum import PHOTON_J_NM, Blackbody, TabulatedSed
@@ -105,14 +103,3 @@ def test_calspec_vega() -> None:
     assert synthetic_magnitude(vega) == pytest.approx(0.03, abs=0.015)
     assert synthetic_magnitude(vega, system="G") == pytest.approx(0.023, abs=0.01)
     assert float(vega.photon_density(555.6)) * PHOTON_J_NM / 555.6 == pytest.approx(3.44e-17, rel=0.01)
-
-
-def test_mistakes() -> None:
-    refuses(ConfigError, "known: G, V", photon_rate, VEGA_LIKE, 0.0, wavelength_nm=550.0, system="B")
-    refuses(DomainError, "magnitude nan", lambda: photon_rate(VEGA_LIKE, [1.0, float("nan")], wavelength_nm=550.0))
-    refuses(DomainError, "outside 1", photon_rate, VEGA_LIKE, 0.0, wavelength_nm=-550.0)
-    short = sed([500.0, 600.0], np.ones(2))
-    with pytest.raises(DomainError, match=r"500 to 600 nm does not cover the V passband, 470 \.\.\. 700 nm"):
-        photon_rate(short, 0.0, wavelength_nm=550.0)
-    dark = sed([300.0, 900.0, 1100.0], [0.0, 0.0, 1.0])
-    refuses(DomainError, "no light in the V passband", synthetic_magnitude, dark)

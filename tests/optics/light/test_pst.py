@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-from refusals import refuses
 
-from optics.errors import ConfigError, DomainError
 from optics.frames import polar_direction
 from optics.light.pst import PointSourceTransmittance, read_pst, write_pst
 
@@ -82,26 +80,3 @@ def test_a_plain_table_of_two_columns(tmp_path) -> None:
     np.testing.assert_array_equal(pst.total, [[1e-6, 1e-8]])
     (tmp_path / "both.csv").write_text("angle_deg,walls,total\n10,1e-6,2e-6\n")
     assert read_pst(tmp_path / "both.csv").total.item() == 1e-6
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("angle_deg\n10\n", "no PST column"),
-        ("x,y\n1,2\n", "angle_deg"),
-        ("angle_deg,pst\n10,none\n", "not a table of numbers"),
-        ("angle_deg,azimuth_deg,pst\n10,0,1\n20,0,1\n10,90,1\n30,90,1\n", "the same angles"),
-        ("angle_deg,pst\n10,1\n10,2\n", "the same angles"),
-    ],
-)
-def test_bad_tables_are_told_in_a_line(tmp_path, text: str, words: str) -> None:
-    (tmp_path / "bad.csv").write_text(text)
-    refuses(ConfigError, words, read_pst, tmp_path / "bad.csv")
-
-
-def test_bad_numbers_are_refused(tmp_path) -> None:
-    refuses(ConfigError, "cannot be read", read_pst, tmp_path / "none.csv")
-    (tmp_path / "bad.csv").write_text("angle_deg,pst\n10,-1e-6\n")
-    refuses(DomainError, "not be negative", read_pst, tmp_path / "bad.csv")
-    (tmp_path / "far.csv").write_text("angle_deg,pst\n100,1e-6\n")
-    refuses(DomainError, "within 0", read_pst, tmp_path / "far.csv")

@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from astropy import units
 from astropy.modeling.models import BlackBody
-from refusals import refuses
 from scipy import constants
 
-from optics.errors import ConfigError, DomainError
 from optics.light.spectrum import PHOTON_J_NM, Blackbody, Sed, TabulatedSed
 
 
@@ -53,35 +51,3 @@ def test_power_and_photon_tables_of_one_source_agree() -> None:
     assert as_photons.photon_density(425.0) == pytest.approx(0.5 * (photons[0] + photons[1]), rel=1e-14)
     assert isinstance(as_power, Sed)
     assert isinstance(Blackbody(temperature_k=4000.0), Sed)
-
-
-@pytest.mark.parametrize("temperature_k", [0.0, -10.0, float("nan"), float("inf")])
-def test_temperature_must_be_positive(temperature_k: float) -> None:
-    refuses(DomainError, f"{temperature_k:g} K", Blackbody, temperature_k=temperature_k)
-
-
-@pytest.mark.parametrize(
-    ("wave", "value", "part"),
-    [
-        ([500.0, 400.0], [1.0, 1.0], "must increase"),
-        ([400.0, 400.0], [1.0, 1.0], "must increase"),
-        ([400.0, 500.0], [1.0, -1.0], "value -1 at 500 nm"),
-        ([400.0, 500.0], [1.0, float("nan")], "nan"),
-        ([400.0, 500.0], [0.0, 0.0], "zero everywhere"),
-        ([400.0, 500.0], [1.0], "shape"),
-        ([400.0], [1.0], "two points"),
-        ([-5.0, 500.0], [1.0, 1.0], "-5 nm is not positive"),
-    ],
-)
-def test_bad_tables(wave: list[float], value: list[float], part: str) -> None:
-    table = {"name": "bad", "source": "test", "wavelength_nm": wave, "value": value, "quantity": "photon"}
-    assert "\n" not in refuses(DomainError, part, TabulatedSed, **table)
-
-
-def test_other_mistakes() -> None:
-    table = {"name": "s", "wavelength_nm": np.array([400.0, 500.0]), "value": np.array([1.0, 1.0])}
-    refuses(ConfigError, "neither 'photon' nor 'power'", TabulatedSed, source="test", quantity="watt", **table)
-    refuses(ConfigError, "source", TabulatedSed, source="", quantity="power", **table)
-    with pytest.raises(DomainError, match=r"600 nm is outside 400 \.\.\. 500 nm"):
-        TabulatedSed(source="test", quantity="power", **table).photon_density(600.0)  # type: ignore[arg-type]
-    refuses(DomainError, "nan nm", lambda: Blackbody(temperature_k=5000.0).photon_density(float("nan")))

@@ -5,10 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from made_lens import made_coating, made_glass
-from refusals import refuses
 
-from optics import Glass, QuarterWave, Response, get_glass
-from optics.errors import ConfigError, DomainError
+from optics import Glass, QuarterWave, get_glass
 from optics.light.transmission import AxialLayout, axial_layout, lens_transmission
 
 LINES = np.array([450.0, 550.0, 650.0])
@@ -59,20 +57,3 @@ def test_a_stop_in_air_costs_nothing_and_a_lens_is_read_along_its_vertices() -> 
     assert layout.media == (None, glass, None)
     assert layout.thickness_mm == pytest.approx([2.0, 12.5, 85.5])
     assert lens_transmission(lens, LINES) == pytest.approx(lens_transmission(plate(glass, 12.5), LINES), rel=1e-14)
-
-
-def test_mistakes() -> None:
-    refuses(ConfigError, "a lens or a layout is needed, got str", lens_transmission, "star_camera", LINES)
-    refuses(DomainError, "negative", lambda: plate(made_glass(1.5), -1.0))
-    refuses(DomainError, "shape", lambda: AxialLayout(media=(None,), thickness_mm=np.array([1.0, 2.0])))
-    refuses(DomainError, "no internal transmittance", lambda: lens_transmission(plate(made_glass(1.5)), LINES))
-    refuses(DomainError, "MgF2: wavelength 100 nm", QuarterWave, design_wavelength_nm=100.0)
-    refuses(DomainError, r"N-BK7: wavelength 250 nm", lambda: lens_transmission(plate(get_glass("N-BK7")), 250.0))
-    with pytest.raises(ConfigError, match="source"):
-        Response(name="qe", source="", wavelength_nm=np.array([400.0, 700.0]), value=np.full(2, 0.5))
-    with pytest.raises(DomainError, match=r"outside 0 \.\.\. 1"):
-        Response(name="qe", source="test", wavelength_nm=np.array([400.0, 700.0]), value=np.array([0.5, 1.5]))
-    curve = Response(name="qe", source="test", wavelength_nm=np.array([400.0, 700.0]), value=np.array([0.2, 0.8]))
-    assert float(curve.interpolate(550.0)) == pytest.approx(0.5)
-    refuses(DomainError, r"qe: wavelength 701 nm is outside 400 \.\.\. 700 nm", curve.interpolate, [500.0, 701.0])
-    refuses(DomainError, "not a number in nm", curve.interpolate, "green")

@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from made_lens import made_coating
-from refusals import refuses
 
 from optics import LensSystem, QuarterWave, field_direction, load_lens
-from optics.errors import DomainError
 from optics.lens.prescription import lens_from_table
 from optics.rays.entrance_pupil import launch_disks, star_rays
 from optics.rays.ghosts import find_ghosts, ghost_pairs, trace_ghost, with_cover_glass
@@ -155,13 +153,6 @@ def test_no_light_is_lost_from_the_books() -> None:
     assert found.brightest_pixel(0.0055) == pytest.approx(
         found.flux * np.minimum(1.0, 0.0055**2 / (2.0 * np.pi * found.rms_mm**2)), rel=1e-12
     )
-
-
-def test_mistakes() -> None:
-    lens = plate()
-    refuses(DomainError, r"detector_reflectance = 1\.2", find_ghosts, lens, [0.0, 0.0, 1.0], detector_reflectance=1.2)
-    refuses(DomainError, "must be positive", with_cover_glass, lens, "N-BK7", -1.0, 2.0)
-    refuses(DomainError, "no room", with_cover_glass, lens, "N-BK7", 40.0, 30.0)
 
 
 def test_a_window_before_a_mirror_telescope() -> None:

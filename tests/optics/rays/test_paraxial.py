@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from made_lens import made_lens
-from refusals import refuses
 
-from optics import VACUUM, Plane, Rays, Sphere, decentre, load_lens, tilt, trace
-from optics.errors import DomainError
+from optics import VACUUM, Plane, Rays, Sphere, load_lens, trace
 from optics.rays.chief_ray import chief_ray_points
 from optics.rays.distortion import plate_scale_mm
 from optics.rays.paraxial import (
@@ -109,15 +107,6 @@ def test_vacuum_changes_the_focal_length_by_the_index_ratio():
     air, vacuum = paraxial(singlet), paraxial(replace(singlet, environment=VACUUM))
     n = float(replace(singlet, environment=VACUUM).indices(600.0)[2])
     assert air.efl_mm / vacuum.efl_mm == pytest.approx((n - 1.0) / 0.5, rel=1e-12)
-
-
-def test_tilted_decentred_and_powerless_lenses_are_refused():
-    lens = load_lens("star_camera_206mm")
-    for bad in (tilt(lens, "L2", 0.1), decentre(lens, "L2", 0.1)):
-        refuses(DomainError, "tilted or decentred", paraxial, bad)
-    flat = replace(lens, surfaces=(lens.surfaces[0],))
-    refuses(DomainError, "no refracting or reflecting surface", paraxial, flat)
-    refuses(DomainError, "front focal plane", lambda: image_of(lens, paraxial(lens).front_focus_z_mm))
 
 
 @pytest.mark.parametrize("defocus_mm", [0.0, 2.0])

@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-from refusals import refuses
 
 from optics import best_focus_shift_mm, distortion_map, lateral_colour, load_lens, refocus, spot_moments, vignetting
-from optics.errors import DomainError
 from optics.rays.paraxial import axial_colour_mm, paraxial, stopped_down
 from optics.rays.performance import lens_performance
 
@@ -56,7 +54,3 @@ def test_vignetting_of_a_lens_whose_apertures_cut():
     cut = vignetting(lens, fields, np.zeros(3))
     np.testing.assert_allclose(found.vignetting, cut * np.cos(np.radians(fields)), rtol=1e-6)
     assert found.vignetting[-1] < 0.8
-
-
-def test_first_field_is_the_axis(lens):
-    refuses(DomainError, "relative to field 0", lens_performance, lens, [1.0, 2.0], WAVES)

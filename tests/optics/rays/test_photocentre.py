@@ -1,12 +1,9 @@
 """Photocentres against Planck's law on single rays, and on moments made by hand."""
 
 import numpy as np
-import pytest
-from refusals import refuses
 from scipy.constants import c, h, k
 
 from optics import load_lens
-from optics.errors import DomainError
 from optics.rays.photocentre import photocentres_of
 from optics.rays.spots import SpotMoments, trace_spots
 from optics.rays.stellar_chromatic_shift import stellar_chromatic_shift_mm
@@ -39,11 +36,6 @@ def test_colours_that_do_not_arrive_do_not_count():
     light = photocentres_of(moments([[0.0, np.nan], [np.nan, np.nan]], [[3.0, 0.0], [0.0, 0.0]]), [1.0, 1.0])
     np.testing.assert_array_equal(light.x_mm, [[0.0], [np.nan]])
     np.testing.assert_allclose(light.area_mm2, [[1.5], [0.0]])
-
-
-@pytest.mark.parametrize("spectrum", [[1.0], [[1.0, -1.0]], [[0.0, 0.0]], [[1.0, np.inf]]])
-def test_spectra_that_are_none_are_refused(spectrum):
-    refuses(DomainError, "spectrum", lambda: photocentres_of(moments([[0.0, 1.0]], [[3.0, 1.0]]), spectrum))
 
 
 def test_a_star_moves_with_its_colour_as_planck_and_the_rays_say():

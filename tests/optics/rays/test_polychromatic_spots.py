@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from optics import best_focus_shift_mm, load_lens, refocus, spot_moments
-from optics.errors import ConvergenceError
 from optics.rays.polychromatic_spots import polychromatic_spots
 
 LENS, WAVES = load_lens("star_camera_206mm"), [500.0, 600.0, 800.0]
@@ -22,8 +21,3 @@ def test_position_size_and_focus():
     square = (light * (moments.rms_radius_mm**2 + x**2 + y**2)).sum(1)
     np.testing.assert_allclose(made.square_mm2, square, rtol=1e-3)
     assert np.abs((made.weight * made.x_mm).sum((1, 2))).max() < 1e-12
-
-
-def test_a_field_without_light_is_an_error():
-    with pytest.raises(ConvergenceError, match="no light"):
-        polychromatic_spots(load_lens("double_gauss_50mm"), [0.0, 40.0], [0.0, 0.0], [600.0], [1.0])

@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from made_lens import made_coating
-from refusals import refuses
 
 from optics import load_lens
-from optics.errors import DomainError
 from optics.frames import field_direction, light_direction, polar_direction
 from optics.lens.prescription import lens_from_table
 from optics.light.bsdf import polished
@@ -165,12 +163,3 @@ def test_scatter_grows_with_the_law_and_falls_with_the_angle() -> None:
     # a source on the side of +x comes in under the angle of the points at +x
     near = light(16.0, 1e-3)
     assert near[2] > near[1] > near[0]
-
-
-def test_sources_behind_the_lens_and_lenses_without_surfaces_are_refused() -> None:
-    imaging = imaging_rays(TRACKER, field_direction([0.0], [0.0]))
-    refuses(DomainError, "90 deg", scattered_irradiance, imaging, [0.0, 0.0, -1.0], {})
-    refuses(DomainError, "90 deg", ghost_irradiance, TRACKER, [1.0, 0.0, 0.0], (5.0, 5.0))
-    refuses(
-        DomainError, "surface 5", lambda: scattered_irradiance(imaging, [0.0, 0.0, 1.0], {"dust": {5: lambda q: q}})
-    )

@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-from refusals import refuses
 
 from optics import best_focus_shift_mm, change_temperature, field_direction, load_lens, plate_scale_mm, trace_spots
-from optics.errors import ConvergenceError, DomainError
 from optics.lens.heated_lens import COMPONENTS, Housing, ThermalState, heated_lens
 from optics.rays.paraxial import stopped_down
 from optics.rays.thermal_sensitivity import athermal_spacer, focus_um_per_k, spacers_of, thermal_sensitivity
@@ -76,10 +74,3 @@ def test_the_spacer_that_holds_the_focus():
     second = found.second_material_mm(23.6e-6, 1.3e-6)
     grown = (found.length_mm - second) * 23.6e-6 + second * 1.3e-6
     assert grown == pytest.approx(found.length_mm * found.expansion_per_k, rel=1e-12)
-
-
-def test_input_that_cannot_be(sensitivity):
-    with pytest.raises(DomainError, match="outside the field"):
-        sensitivity.shift(ThermalState(mean_k=1.0), field_direction(5.0, 0.0))
-    refuses(DomainError, "at least 6", thermal_sensitivity, LENS, HOUSING, count=3)
-    refuses(ConvergenceError, "use smaller steps", thermal_sensitivity, LENS, HOUSING, step_k=60.0)

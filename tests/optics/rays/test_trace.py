@@ -5,11 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from made_lens import made_lens
-from refusals import refuses
 
 from optics import Conic, LensSystem, Plane, Sphere, compile_lens, field_direction, load_lens
 from optics.arrays import NUMPY
-from optics.errors import DomainError
 from optics.lens.perturb import change_shape, decentre, tilt
 from optics.rays.entrance_pupil import entrance_pupil, star_rays
 from optics.rays.pupil_sampling import sobol_disk
@@ -123,15 +121,6 @@ def test_status_vignetted_tells_where_and_first_loss_wins():
 def test_decentred_aperture_is_measured_in_its_own_frame():
     lens = decentre(made_lens((Plane(), 5.0, "air"), semi_mm=2.0), 0, y_mm=3.0)
     assert trace(lens, axial(0.999, 1.001, 4.999, 5.001)).status.tolist() == [VIGNETTED, OK, OK, VIGNETTED]
-
-
-def test_wrong_rays_are_refused():
-    refuses(DomainError, "does not travel towards the lens", axial, 0.0, direction=(0.0, 0.0, -1.0))
-    refuses(DomainError, "not finite", axial, np.nan)
-    with pytest.raises(DomainError, match=r"\(\.\.\., 3\) is needed"):
-        Rays.create(x_mm=0.0, y_mm=0.0, direction=[0.0, 1.0], wavelength_nm=600.0)
-    with pytest.raises(DomainError, match="250 nm is outside"):
-        trace(load_lens("star_camera_206mm"), replace(axial(0.0), wavelength_nm=np.array([250.0])))
 
 
 def test_perturbed_lenses_share_one_structure():

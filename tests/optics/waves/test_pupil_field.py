@@ -5,12 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from ideal_pupil import INDEX, WAVE_NM, ideal_pupil
-from refusals import refuses
 from scipy.integrate import quad
 from scipy.special import j0, j1
 
 from optics import load_lens, wavefront, zernike_map, zernikes
-from optics.errors import DomainError
 from optics.waves.image_quality import encircled_energy, peak, strehl, strehl_through_focus, transfer_function
 from optics.waves.pupil_field import needed_order, trace_pupil
 
@@ -132,21 +130,6 @@ def test_spherical_aberration_balanced_by_defocus_is_brightest_midway():
     parts = [quad(lambda t, f=f: f(turns * (t - 0.5) ** 2), 0.0, 1.0)[0] for f in (np.cos, np.sin)]
     expected = parts[0] ** 2 + parts[1] ** 2
     assert middle == pytest.approx(expected, abs=2e-4)
-
-
-def test_a_pupil_too_coarse_for_the_window_is_refused():
-    grid = np.linspace(-0.05, 0.05, 5)
-    with pytest.raises(DomainError, match=r"16 rings x 64 azimuths is too coarse .* at least \d+ x 13\d are needed"):
-        ideal_pupil(0.17, order=(16, 64)).intensity(grid, grid)
-
-
-def test_too_much_defocus_is_refused_by_name():
-    field = ideal_pupil(0.17, order=(12, 32)).shifted(20.0)
-    refuses(DomainError, r"wavefront changes by \d+ rad along a radius", needed_order, field, 0.05)
-
-
-def test_light_too_fast_for_the_scalar_theory_is_refused():
-    refuses(DomainError, r"scalar theory of diffraction", ideal_pupil, 0.7)
 
 
 def test_the_order_that_a_window_asks_for_is_enough_and_no_more_than_that():

@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
-from refusals import refuses
 
 from optics import gauss_disk, load_lens, trace_pupil
-from optics.errors import ConfigError, DomainError
-from optics.waves.wavefront import PathMap, wavefront, zernike_map
+from optics.waves.wavefront import wavefront, zernike_map
 from optics.waves.zernike import fit_zernikes, zernike_numbers, zernikes
 
 
@@ -55,16 +53,3 @@ def test_fit_to_values():
     disk = gauss_disk(6, 16)
     value = 3.0 * zernikes(disk.x, disk.y, 8)[7]
     assert fit_zernikes(disk.x, disk.y, value, disk.weight, 11) == pytest.approx(3.0 * (np.arange(11) == 7), abs=1e-12)
-
-
-def test_bad_maps_are_refused_by_name():
-    grid = np.linspace(-1.0, 1.0, 9)
-    error = np.zeros((9, 9))
-    error[2, 3] = np.nan
-    with pytest.raises(DomainError, match="wavefront map: 1 of 81 values are not finite, the first at row 2, column 3"):
-        PathMap(x=grid, y=grid, error_nm=error)
-    refuses(DomainError, r"Zernike coefficient 1 of 3 is not finite", zernike_map, [0.0, np.nan, 1.0])
-    with pytest.raises(DomainError, match="a map of the whole pupil is needed"):
-        PathMap(x=0.5 * grid, y=grid, error_nm=np.zeros((9, 9)))(0.9, 0.0)
-    refuses(ConfigError, "did you mean fringe", zernike_numbers, 4, "frine")
-    refuses(DomainError, "at most 37", zernike_numbers, 38, "fringe")
