@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +16,8 @@ from optics.records import freeze, freeze_all
 
 if TYPE_CHECKING:
     from astropy.table import Table
+
+    from render.records import Frame, WindowStack
 
 X, Y, FLUX = 0, 1, 2
 """Rows and columns of ``StarTable.covariance``, and of every vector that starts with (x, y, flux)."""
@@ -44,6 +45,12 @@ class NoiseModel:
         if not np.isfinite(self.offset_dn):
             raise DomainError(f"NoiseModel.offset_dn = {self.offset_dn} DN; it must be finite")
 
+    @classmethod
+    def of(cls, readout: Frame | WindowStack) -> NoiseModel:
+        """Nominal noise model of a frame or of windows of whole DN."""
+        gain, offset = readout.gain_dn_per_e, readout.offset_dn
+        return cls(read_noise_e=readout.read_noise_e, gain_dn_per_e=gain, offset_dn=offset, quantised=True)
+
     @property
     def floor_e2(self) -> float:
         """Variance of a pixel without electrons [e-^2]."""
@@ -51,10 +58,7 @@ class NoiseModel:
         return float(self.read_noise_e**2 + rounding)
 
     def variance_e2(self, expected_e: FloatArray) -> FloatArray:
-        """Variance [e-^2] of pixels that expect ``expected_e`` electrons; never below 1e-3 e-^2.
-
-        The small floor keeps weights finite where neither light nor read noise is expected.
-        """
+        """Variance [e-^2] of pixels that expect ``expected_e`` electrons; at least 1e-3 e-^2, for finite weights."""
         return np.maximum(np.maximum(expected_e, 0.0) + self.floor_e2, 1e-3)
 
     def to_electrons(self, dn: NDArray[Any]) -> FloatArray:
@@ -67,7 +71,7 @@ class Conversion:
     """Conversion of the numbers of a file to DN, and properties of the converter."""
 
     kind: str  # Format of the file
-    stored: str  # Type of the stored numbers, as NumPy calls it
+    stored: str  # Type of the stored numbers, NumPy's name
     step: float = 1.0  # Stored numbers per step of the converter; a DN of the image is a step
     repeated: bool = False  # Whether the upper bits stand again in the lower ones
     full: float | None = None  # Stored number from which a pixel counts as saturated
@@ -141,40 +145,34 @@ class Stamps:
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
-        electrons = freeze(self, "electrons", shape=("n", "h", "w"), sizes=sizes)
+        freeze_all(self, electrons=("n", "h", "w"), background_e=("n",), start_px=("n", 2), sizes=sizes)
         freeze(self, "valid", shape=("n", "h", "w"), dtype=np.bool_, sizes=sizes)
-        freeze(self, "corner_px", shape=("n", 2), dtype=np.int64, sizes=sizes)
-        freeze_all(self, background_e=("n",), start_px=("n", 2), sizes=sizes)
+        freeze_all(self, corner_px=("n", 2), psf_index=("n",), dtype=np.int64, sizes=sizes)
         freeze(self, "flags", shape=("n",), dtype=np.uint32, sizes=sizes)
-        freeze(self, "psf_index", shape=("n",), dtype=np.int64, sizes=sizes)
-        if min(electrons.shape[1:]) < 3:
-            raise DomainError(f"Stamps.electrons has windows of {electrons.shape[1:]} px; at least 3 x 3 is needed")
+        if min(sizes["h"], sizes["w"]) < 3:
+            shape = self.electrons.shape[1:]
+            raise DomainError(f"Stamps.electrons has windows of {shape} px; at least 3 x 3 is needed")
 
     def __len__(self) -> int:
         return len(self.electrons)
+
+    @property
+    def window(self) -> tuple[int, int]:
+        """Rows and columns of a window."""
+        return self.electrons.shape[1], self.electrons.shape[2]
 
     def select(self, rows: Any) -> Stamps:
         """The stamps picked by an index array, a mask or a slice."""
         return Stamps(**{name: getattr(self, name)[rows] for name in self.__dataclass_fields__})
 
 
-_COLUMN_UNITS: dict[str, Any] = {
-    "x_px": "pix",
-    "y_px": "pix",
-    "flux_e": "electron",
-    "background_e": "electron",
-    "sigma_x_px": "pix",
-    "sigma_y_px": "pix",
-    "sigma_flux_e": "electron",
-    "correlation_xy": None,
-    "correlation_x_flux": None,
-    "correlation_y_flux": None,
-    "chi2": None,
-    "iterations": None,
-    "flags": None,
-    "width_px": "pix",
-    "phase_error_px": "pix",
-}
+_COLUMNS = (
+    *("x_px", "y_px", "flux_e", "background_e", "sigma_x_px", "sigma_y_px", "sigma_flux_e"),
+    *("correlation_xy", "correlation_x_flux", "correlation_y_flux"),
+    *("chi2", "iterations", "flags", "width_px", "phase_error_px"),
+)
+_NOT_MEASURED = {"chi2": np.nan, "iterations": 0, "freedom": 0, "width_px": np.nan, "phase_error_px": np.nan}
+"""Values of columns that are left out."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -188,7 +186,7 @@ class StarTable:
     flux_e : (n,)
         Electrons of the star.
     background_e : (n,)
-        Electrons per pixel under the star.
+        Electrons per pixel of the sky at the star.
     covariance : (n, 3, 3)
         Of (x, y, flux) [px, px, e-]: temporal noise by the noise model. Errors that depend on the position within the
         pixel are not included, see ``phase_error_px``.
@@ -203,8 +201,8 @@ class StarTable:
     width_px : (n,)
         Standard deviation of the star as a Gaussian, before pixels integrate it; NaN where it was not measured.
     phase_error_px : (n,)
-        RMS error per axis by the place of the star in its pixel (`calib.measure.centroid_error.s_curve`), for a
-        Gaussian star of this width; NaN for centroiders that fit a PSF, whose error depends on how well they know it.
+        RMS error per axis by the star's position in its pixel (S-curve, `calib.measure.centroid_error.s_curve`), for a
+        Gaussian star of this width; NaN for centroiders that fit a PSF, whose error is that of their PSF.
     """
 
     x_px: FloatArray
@@ -212,21 +210,21 @@ class StarTable:
     flux_e: FloatArray
     background_e: FloatArray
     covariance: FloatArray
-    chi2: FloatArray
-    iterations: NDArray[np.int64]
     flags: NDArray[np.uint32]
+    chi2: FloatArray = field(default_factory=lambda: np.empty(0))
+    iterations: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
     freedom: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
     width_px: FloatArray = field(default_factory=lambda: np.empty(0))
     phase_error_px: FloatArray = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
-        for name, nothing in (("freedom", 0), ("width_px", np.nan), ("phase_error_px", np.nan)):
+        for name, value in _NOT_MEASURED.items():
             if not len(getattr(self, name)):
-                object.__setattr__(self, name, np.full(len(self.x_px), nothing))
-        for name in ("x_px", "y_px", "flux_e", "background_e", "chi2", "width_px", "phase_error_px"):
-            freeze(self, name, shape=("n",), finite=False, sizes=sizes)
-        freeze(self, "covariance", shape=("n", 3, 3), finite=False, sizes=sizes)
+                object.__setattr__(self, name, np.full(len(self.x_px), value))
+        names = ("x_px", "y_px", "flux_e", "background_e", "chi2", "width_px", "phase_error_px")
+        shapes: dict[str, Any] = {"covariance": ("n", 3, 3), **dict.fromkeys(names, ("n",))}
+        freeze_all(self, finite=False, sizes=sizes, **shapes)
         freeze_all(self, iterations=("n",), freedom=("n",), sizes=sizes, dtype=np.int64)
         freeze(self, "flags", shape=("n",), dtype=np.uint32, sizes=sizes)
 
@@ -235,9 +233,9 @@ class StarTable:
             return "<StarTable: no stars>"
         flagged = [(describe_flags(int(bit)), int(has_flag(self.flags, bit).sum())) for bit in StarFlag]
         sigma = f"sigma {np.nanmedian(self.position_sigma_px):.3g} px" if self.fit.any() else ""
-        seen = ", ".join(f"{count} {name}" for name, count in flagged if count)
+        flags = ", ".join(f"{count} {name}" for name, count in flagged if count)
         tested = str(self.misfit) if self.misfit.tested else ""
-        return f"<StarTable: {joined(f'{len(self)} stars', sigma, seen, tested, self.misfit.note)}>"
+        return f"<StarTable: {joined(f'{len(self)} stars', sigma, flags, tested, self.misfit.note)}>"
 
     def __len__(self) -> int:
         return len(self.x_px)
@@ -252,17 +250,8 @@ class StarTable:
     @classmethod
     def empty(cls) -> StarTable:
         """A table without rows, with all columns."""
-        none = np.empty(0)
-        return cls(
-            x_px=none,
-            y_px=none,
-            flux_e=none,
-            background_e=none,
-            covariance=np.empty((0, 3, 3)),
-            chi2=none,
-            iterations=np.empty(0, np.int64),
-            flags=np.empty(0, np.uint32),
-        )
+        columns: dict[str, Any] = dict.fromkeys(("x_px", "y_px", "flux_e", "background_e", "flags"), np.empty(0))
+        return cls(covariance=np.empty((0, 3, 3)), **columns)
 
     @property
     def pixel_px(self) -> FloatArray:
@@ -271,9 +260,9 @@ class StarTable:
 
     @property
     def fit(self) -> NDArray[np.bool_]:
-        """Whether each star (n,) may count in an attitude: measured, and no flag against it (`UNFIT`)."""
-        known = np.isfinite(self.covariance).all(axis=(1, 2)) & np.isfinite(self.x_px) & np.isfinite(self.y_px)
-        return known & ~has_flag(self.flags, UNFIT)
+        """Whether each star (n,) may be used for an attitude: measured, and without a flag of `UNFIT`."""
+        measured = np.isfinite(self.covariance).all(axis=(1, 2)) & np.isfinite(self.x_px) & np.isfinite(self.y_px)
+        return measured & ~has_flag(self.flags, UNFIT)
 
     @property
     def sharp(self) -> NDArray[np.bool_]:
@@ -282,7 +271,7 @@ class StarTable:
 
     @property
     def position_sigma_px(self) -> FloatArray:
-        """Standard deviation per axis (n,) of one position: noise, mean of both axes, and the error by pixel phase."""
+        """Standard deviation per axis (n,) of a position: noise, mean of both axes, and the error by pixel phase."""
         noise = 0.5 * (self.covariance[:, X, X] + self.covariance[:, Y, Y])
         return np.asarray(np.sqrt(noise + np.nan_to_num(self.phase_error_px) ** 2))
 
@@ -323,13 +312,9 @@ class StarTable:
         """The stars picked by an index array, a mask or a slice."""
         return StarTable(**{name: getattr(self, name)[rows] for name in self.__dataclass_fields__})
 
-    def to_table(self, columns: Sequence[str] = tuple(_COLUMN_UNITS)) -> Table:
+    def to_table(self) -> Table:
         """The stars as an `astropy.table.Table` of plain columns with units, e.g. to write ECSV."""
         from astropy.table import Table
 
-        table = Table()
-        for name in columns:
-            table[name] = np.array(getattr(self, name))
-            if _COLUMN_UNITS[name] is not None:
-                table[name].unit = _COLUMN_UNITS[name]
-        return table
+        units = {name: "pix" if name.endswith("_px") else "electron" for name in _COLUMNS if name[-2:] in ("px", "_e")}
+        return Table({name: np.array(getattr(self, name)) for name in _COLUMNS}, units=units)

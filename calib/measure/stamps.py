@@ -126,12 +126,7 @@ def stamps_from_windows(
 
     Shapes: ``background_e`` (n,), ``start_px`` (n, 2), ``psf_index`` (n,).
     """
-    noise = NoiseModel(
-        read_noise_e=stack.read_noise_e,
-        gain_dn_per_e=stack.gain_dn_per_e,
-        offset_dn=stack.offset_dn,
-        quantised=True,
-    )
+    noise = NoiseModel.of(stack)
     frames, windows, height, width = stack.dn.shape
     total = frames * windows
     saturated = stack.saturated.reshape(total, height, width)

@@ -15,7 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import gammaln, xlogy
+from scipy.stats import poisson
 
 from calib.records import NoiseModel
 from optics.arrays import FloatArray
@@ -57,6 +57,12 @@ def fisher_information(
     return (jacobian * weight[..., None, :]) @ np.swapaxes(jacobian, -1, -2)
 
 
+def position_bound_px(jacobian: FloatArray, expected_e: FloatArray, noise: NoiseModel) -> FloatArray:
+    """Bound (..., 2) on the standard deviation of x and y, the first two of the parameters of `fisher_information`."""
+    covariance = np.linalg.inv(fisher_information(jacobian, expected_e, noise))
+    return np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1)[..., :2])
+
+
 def cramer_rao(
     model: Callable[[FloatArray], ArrayLike],
     parameters: ArrayLike,
@@ -74,14 +80,10 @@ def cramer_rao(
         ``model(parameters)`` gives the expected electrons of all pixels (any shape), background included.
     parameters : (k,)
         Where to evaluate.
-    noise : NoiseModel
-        Noise of a pixel.
     steps : (k,), optional
         Steps of the differences; 1e-4 of each parameter, or of 1 where it is smaller, without it.
-    valid : bool array, optional
-        Pixels to use, shaped as the model's result.
-    exact : bool
-        See `fisher_information`.
+    noise, valid, exact
+        As of `fisher_information`.
 
     Returns
     -------
@@ -103,10 +105,10 @@ def cramer_rao(
     expected = np.ravel(np.asarray(model(theta), dtype=np.float64))
     mask = None if valid is None else np.ravel(valid)
     information = fisher_information(np.array(jacobian), expected, noise, valid=mask, exact=exact)
-    scale = np.sqrt(np.diagonal(information))
-    if not np.all(scale > 0) or np.linalg.cond(information / np.outer(scale, scale)) > 1e12:
+    scale = np.sqrt(np.outer(np.diagonal(information), np.diagonal(information)))
+    if not np.all(scale > 0) or np.linalg.cond(information / scale) > 1e12:
         raise DomainError("the pixels do not determine the parameters (singular Fisher information); use fewer")
-    return np.asarray(np.linalg.inv(information / np.outer(scale, scale)) / np.outer(scale, scale))
+    return np.asarray(np.linalg.inv(information / scale) / scale)
 
 
 def matched_snr(unit_psf: FloatArray, flux_e: ArrayLike, background_e: ArrayLike, noise: NoiseModel) -> FloatArray:
@@ -139,28 +141,16 @@ def flux_snr(electrons: FloatArray, area_px2: FloatArray, *, noise_e2: float) ->
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         u = area_px2 * noise_e2 / (2.0 * electrons)
-        # beyond 1e6 the difference of two ones has no digits left
-        part = np.where(u < 1e6, 1.0 - u * np.log1p(1.0 / u), 0.5 / u)
-    return np.asarray(np.sqrt(np.where(electrons > 0.0, electrons * np.nan_to_num(part, nan=1.0), 0.0)))
+        # beyond u = 1e6 the difference cancels: its limit
+        fraction = np.where(u < 1e6, 1.0 - u * np.log1p(1.0 / u), 0.5 / u)
+    return np.asarray(np.sqrt(np.where(electrons > 0.0, electrons * np.nan_to_num(fraction, nan=1.0), 0.0)))
 
 
 def poisson_normal_gain(expected_e: ArrayLike, read_noise_e: float) -> FloatArray:
-    """Information of one pixel about its expectation m, times (m + r^2): information of the exact distribution beyond
-    the variance.
+    """Fisher information of the exact Poisson-normal law on the expectation m of a pixel, times (m + r^2), r the read
+    noise; shaped as ``expected_e``.
 
-    1 for many electrons; ``r^2 (exp(1 / r^2) - 1)`` for m -> 0 (information of telling 0 from 1 electron).
-
-    Parameters
-    ----------
-    expected_e : array
-        Expected electrons m.
-    read_noise_e : float
-        Read noise r.
-
-    Returns
-    -------
-    ndarray
-        At least 1, shaped as ``expected_e``.
+    1 for many electrons; ``r^2 (exp(1 / r^2) - 1)`` for m -> 0 (0 against 1 electron).
     """
     mean = np.maximum(np.asarray(expected_e, dtype=np.float64), 1e-4)
     if read_noise_e < 0.2:  # single electrons are resolved: pure Poisson, information 1 / m
@@ -177,11 +167,11 @@ def _gain_table(read_noise_e: float) -> tuple[FloatArray, FloatArray]:
     gain = []
     for m in means:
         k = np.arange(int(m + 10.0 * np.sqrt(m)) + 25)
-        chance = np.exp(xlogy(k, m) - m - gammaln(k + 1.0))
-        slope = np.concatenate([[0.0], chance[:-1]]) - chance
+        probability = poisson.pmf(k, m)
+        slope = np.concatenate([[0.0], probability[:-1]]) - probability
         d = np.arange(-9.0 * read_noise_e, k[-1] + 9.0 * read_noise_e, step)
         normal = np.exp(-0.5 * ((d[:, None] - k) / read_noise_e) ** 2) / (read_noise_e * np.sqrt(2.0 * np.pi))
-        density, change = normal @ chance, normal @ slope
-        some = density > 1e-200
-        gain.append((m + read_noise_e**2) * step * np.sum(change[some] ** 2 / density[some]))
+        density, change = normal @ probability, normal @ slope
+        used = density > 1e-200
+        gain.append((m + read_noise_e**2) * step * np.sum(change[used] ** 2 / density[used]))
     return np.append(np.log(means), np.log(1000.0)), np.append(np.maximum(gain, 1.0), 1.0)

@@ -1,6 +1,6 @@
 """Centroids predicted without frames: windows drawn from PSFs at given positions, and what noise and patterns do there.
 
-A pixel's electrons, as seen by the reduction, are
+The electrons of a pixel after the reduction are
 
     light (1 + PRNU) + offset pattern + temporal noise,
 
@@ -19,7 +19,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.measure.centroid_error.cramer_rao_bound import fisher_information
+from calib.measure.centroid_error.cramer_rao_bound import position_bound_px
 from calib.measure.centroid_error.linear_response import centroid_covariance, centroid_variance, linear_response, tight
 from calib.measure.centroiding.registry import Centroider
 from calib.measure.epsf.bspline import EpsfModel, epsf_bank
@@ -27,7 +27,7 @@ from calib.measure.stamps import noiseless_stamps
 from calib.measure.statistics.frame_positions import measured_positions
 from calib.records import NoiseModel, Stamps
 from optics.arrays import FloatArray
-from optics.records import freeze
+from optics.records import freeze, freeze_all
 from render.records import EffectivePsf
 
 
@@ -37,43 +37,35 @@ class PixelStatistics(Protocol):
     @property
     def read_e2(self) -> float:
         """Mean variance of the read noise over the pixels."""
-        ...
 
     @property
     def dark_e(self) -> float:
         """Mean dark charge."""
-        ...
 
     @property
     def prnu(self) -> float:
         """Standard deviation of the response over the pixels, relative."""
-        ...
 
     @property
     def column_e(self) -> float:
         """Standard deviation of the offset over the columns."""
-        ...
 
     @property
     def offset_e(self) -> float:
         """Standard deviation over the pixels of a frame without light."""
-        ...
 
     @property
     def floor_e2(self) -> float:
         """Temporal variance of a pixel without light, mean over the pixels."""
-        ...
 
     @property
     def floor_e4(self) -> float:
         """Variance over the pixels of ``floor_e2``."""
-        ...
 
     def temporal_e2(
         self, light_e: FloatArray | float, *, frames: int = 1, dark_frames: int | None = None
     ) -> FloatArray:
         """Temporal variance of pixels that expect ``light_e``, of means over frames, minus a mean of dark frames."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,11 +81,9 @@ class ExpectedWindows:
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
-        freeze(self, "position_px", shape=("n", 2), sizes=sizes)
-        freeze(self, "corner_px", shape=("n", 2), dtype=np.int64, sizes=sizes)
-        freeze(self, "light_e", shape=("n", "h", "w"), sizes=sizes)
+        freeze_all(self, position_px=("n", 2), light_e=("n", "h", "w"), sizes=sizes)
+        freeze_all(self, corner_px=("n", 2), psf_index=("n",), dtype=np.int64, sizes=sizes)
         freeze(self, "valid", shape=("n", "h", "w"), dtype=np.bool_, sizes=sizes)
-        freeze(self, "psf_index", shape=("n",), dtype=np.int64, sizes=sizes)
 
     def modelled(self, shift_px: FloatArray | float = 0.0) -> tuple[FloatArray, FloatArray]:
         """Images (n, h w) of the PSFs moved by (2,), with derivatives (n, 3, h w) by column, row and electrons.
@@ -117,14 +107,8 @@ class ExpectedWindows:
 
     def select(self, rows: NDArray[np.int64], valid: NDArray[np.bool_]) -> ExpectedWindows:
         """Some windows, with other usable pixels (n, h, w)."""
-        return replace(
-            self,
-            position_px=self.position_px[rows],
-            corner_px=self.corner_px[rows],
-            light_e=self.light_e[rows],
-            valid=valid[rows],
-            psf_index=self.psf_index[rows],
-        )
+        chosen = {name: getattr(self, name)[rows] for name in ("position_px", "corner_px", "light_e", "psf_index")}
+        return replace(self, valid=valid[rows], **chosen)
 
     def stamps(self) -> Stamps:
         """The windows as a centroider takes them, which starts at their centre of gravity."""
@@ -147,7 +131,7 @@ def expected_windows(
     Parameters
     ----------
     psfs : sequence of EffectivePsf
-        PSFs of equal oversampling; star i has the PSF i, counted on from the first again after the last.
+        f PSFs of equal oversampling; star i has the PSF i modulo f.
     position_px : (n, 2)
         Column and row of the stars.
     electrons : float
@@ -159,8 +143,8 @@ def expected_windows(
     defect : (rows, columns) bool, optional
         Pixels of the detector that the reduction leaves out.
     full_well_e, nonlinearity
-        A converter with the coefficients c1, c2 ... reads ``light (1 + c1 light / full well + ...)`` electrons, as seen
-        by a reduction with a constant gain.
+        A converter with the coefficients c1, c2 ... reads ``light (1 + c1 light / full well + ...)`` electrons at a
+        constant gain.
     """
     position = np.asarray(position_px, np.float64).reshape(-1, 2)
     corner = np.rint(position).astype(np.int64) - window_px // 2 if corner_px is None else corner_px.reshape(-1, 2)
@@ -222,15 +206,15 @@ def window_response(centroider: Centroider, windows: ExpectedWindows, noise: Noi
 
 
 def followed_px(centroider: Centroider, windows: ExpectedWindows, noise: NoiseModel, step_px: float) -> FloatArray:
-    """Motion of a centroid (n, 2) for a step of the image along x, along y: half of the way between both sides."""
+    """Motion of a centroid (n, 2) for a step of the image along x, along y: half the difference of both sides."""
     if not step_px:
         return np.zeros_like(windows.position_px)
-    ends = []
+    motion = []
     for axis in range(2):
-        moved = (windows.moved(side * step_px * np.eye(2)[axis]) for side in (-1.0, 1.0))
-        low, high = (noiseless_positions(centroider, one, noise)[:, axis] for one in moved)
-        ends.append((high - low) / 2.0)
-    return np.stack(ends, axis=1)
+        sides = (windows.moved(sign * step_px * np.eye(2)[axis]) for sign in (-1.0, 1.0))
+        low, high = (noiseless_positions(centroider, moved, noise)[:, axis] for moved in sides)
+        motion.append((high - low) / 2.0)
+    return np.stack(motion, axis=1)
 
 
 def bound_px(windows: ExpectedWindows, floor_e2: float) -> FloatArray:
@@ -239,9 +223,7 @@ def bound_px(windows: ExpectedWindows, floor_e2: float) -> FloatArray:
     ``floor_e2``: variance of a pixel without light [e-^2].
     """
     signal, jacobian = windows.modelled()
-    noise = NoiseModel(read_noise_e=float(np.sqrt(floor_e2)))
-    covariance = np.linalg.inv(fisher_information(jacobian, np.maximum(signal, 0.0), noise))
-    return np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[:, :2])
+    return position_bound_px(jacobian, np.maximum(signal, 0.0), NoiseModel(read_noise_e=float(np.sqrt(floor_e2))))
 
 
 def drawn_positions(
@@ -256,26 +238,10 @@ def drawn_positions(
 ) -> FloatArray:
     """Positions (draws, n, 2) with noise drawn on the windows: Poisson, normal, rounded to whole DN; NaN where failed.
 
-    Their mean is where frames put the centroid of a method that is not linear (a threshold): the centroid of the
-    noiseless window may lie elsewhere.
-
-    Parameters
-    ----------
-    centroider : Centroider
-        The estimator.
-    windows : ExpectedWindows
-        n of them.
-    noise : NoiseModel
-        Noise model handed to the estimator, and the gain of the rounding.
-    pixel : PixelStatistics
-        True noise of a pixel.
-    draws : int
-        Noisy copies of each window.
-    rng : numpy.random.Generator
-        Source of the noise.
-    mirrored : bool
-        Whether every other draw has the noise of the one before it with the opposite sign, so that noise cancels in
-        the mean of both but for what is of second order.
+    Their mean is the centroid of frames also for a method that is not linear (a threshold), of which the centroid of
+    the noiseless window may differ. ``noise`` is the model handed to the estimator, ``pixel`` the true one. Of
+    ``mirrored`` draws every other has the noise of its predecessor with the opposite sign: noise cancels in the mean of
+    both to first order.
     """
     stamps = windows.stamps()
     shape = (draws, *windows.light_e.shape)
@@ -285,8 +251,8 @@ def drawn_positions(
     if mirrored:
         electrons = np.stack([electrons, 2.0 * windows.light_e - electrons], axis=1).reshape(shape)
     electrons = windows.valid * np.rint(electrons * noise.gain_dn_per_e) / noise.gain_dn_per_e
-    many = stamps.select(np.tile(np.arange(len(stamps)), draws))
-    return measured_positions(centroider, replace(many, electrons=electrons.reshape(-1, *shape[2:])), noise, draws)
+    copies = stamps.select(np.tile(np.arange(len(stamps)), draws))
+    return measured_positions(centroider, replace(copies, electrons=electrons.reshape(-1, *shape[2:])), noise, draws)
 
 
 def pattern_shifts_px(
@@ -300,29 +266,16 @@ def pattern_shifts_px(
     draws: int,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Shifts (draws, n, 2) of centroids by drawn fixed patterns of the pixels, on noiseless windows.
+    """Shifts (draws, n, 2) of centroids by drawn fixed patterns of the pixels, on noiseless light (n, h, w).
 
-    Parameters
-    ----------
-    centroider, noise
-        The estimator, and the noise model handed to it.
-    stamps : Stamps
-        n windows; what matters is their place and start.
-    light_e : (n, h, w)
-        Noiseless light.
-    prnu, offset_e : float
-        Standard deviations over the pixels of the response, and of the offset, such as the noise of a mean dark frame.
-    draws : int
-        Independent patterns.
-    rng : numpy.random.Generator
-        Source of the patterns.
+    ``stamps`` give position and start of the windows; ``prnu``, ``offset_e``: standard deviations over the pixels of
+    the response, and of the offset, such as the noise of a mean dark frame.
     """
     count = len(light_e)
     response = 1.0 + prnu * rng.standard_normal((draws, *light_e.shape))
     offset = offset_e * rng.standard_normal(response.shape)
     disturbed = np.concatenate([light_e[None], light_e * response + offset]).reshape(-1, *light_e.shape[1:])
-    many = replace(
-        stamps.select(np.tile(np.arange(count), draws + 1)), electrons=disturbed, valid=np.ones(disturbed.shape, bool)
-    )
-    position = centroider.measure(many, noise).pixel_px.reshape(draws + 1, count, 2)
+    copies = stamps.select(np.tile(np.arange(count), draws + 1))
+    copies = replace(copies, electrons=disturbed, valid=np.ones(disturbed.shape, bool))
+    position = centroider.measure(copies, noise).pixel_px.reshape(draws + 1, count, 2)
     return position[1:] - position[0]

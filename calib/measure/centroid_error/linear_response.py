@@ -18,26 +18,11 @@ from optics.arrays import FloatArray
 
 
 def linear_response(centroider: Centroider, stamps: Stamps, noise: NoiseModel, light_e: FloatArray) -> FloatArray:
-    """Derivative of a centroid by the signal of each pixel [px per e-] on noiseless windows.
+    """Derivatives (n, 2, h, w) of centroids by the signal of each pixel [px per e-]; 0 for pixels that are not valid.
 
     Of a centre of gravity and of fits (`calib.measure.centroiding.maximum_likelihood.fit_response`) in closed form, of
-    others by differences.
-
-    Parameters
-    ----------
-    centroider : Centroider
-        The estimator.
-    stamps : Stamps
-        n windows; what matters is their place, start and valid pixels.
-    noise : NoiseModel
-        Noise model handed to the estimator.
-    light_e : (n, h, w)
-        Noiseless light.
-
-    Returns
-    -------
-    (n, 2, h, w)
-        Zero for pixels that are not valid.
+    others by differences. ``light_e`` (n, h, w) is noiseless light in place of that of the stamps, ``noise`` the model
+    handed to the estimator.
     """
     if isinstance(centroider, LikelihoodFit | CentreOfGravity):
         return centroider.response(replace(stamps, electrons=light_e), noise)
@@ -46,10 +31,10 @@ def linear_response(centroider: Centroider, stamps: Stamps, noise: NoiseModel, l
     pixels = height * width
     raised = np.repeat(light_e[:, None], pixels + 1, axis=1).reshape(count, pixels + 1, pixels)
     raised[:, np.arange(pixels), np.arange(pixels)] += step_e[:, None]
-    many = replace(stamps.select(np.repeat(np.arange(count), pixels + 1)), electrons=raised.reshape(-1, height, width))
-    table = centroider.measure(many, noise)
-    place = np.stack([table.x_px, table.y_px], axis=-1).reshape(count, pixels + 1, 2)
-    gain = (place[:, :-1] - place[:, -1:]) / step_e[:, None, None]
+    copies = stamps.select(np.repeat(np.arange(count), pixels + 1))
+    copies = replace(copies, electrons=raised.reshape(-1, height, width))
+    position_px = centroider.measure(copies, noise).pixel_px.reshape(count, pixels + 1, 2)
+    gain = (position_px[:, :-1] - position_px[:, -1:]) / step_e[:, None, None]
     gain = np.where(stamps.valid.reshape(count, pixels, 1), gain, 0.0)
     return np.ascontiguousarray(np.moveaxis(gain, 2, 1)).reshape(count, 2, height, width)
 

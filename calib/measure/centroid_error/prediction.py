@@ -12,12 +12,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import map_coordinates
 
-from calib.measure.centroid_error.cramer_rao_bound import fisher_information
+from calib.measure.centroid_error.cramer_rao_bound import position_bound_px
 from calib.measure.centroid_error.linear_response import centroid_variance, linear_response, tight
 from calib.measure.centroiding.registry import centroider_class, get_centroider
 from calib.measure.epsf.bspline import EpsfModel, epsf_bank
@@ -25,12 +26,12 @@ from calib.measure.stamps import noiseless_stamps
 from calib.records import NoiseModel
 from optics.arrays import FloatArray
 from optics.errors import ConfigError
-from optics.records import freeze
+from optics.records import freeze_all
 from render.records import EffectivePsf
 
 NOT_LINEAR = frozenset({"tcog"})
 SCALE_FREE = frozenset({"cog", "windowed"})
-"""Centroiders whose weights do not depend on the light."""
+"""Centroiders whose weights do not depend on the light: their response times the electrons is the same for all."""
 KNOTS = 3
 BOUND_PHASES, FLUX_KNOTS = 8, 25
 """Sub-pixel phases and numbers of electrons at which `centroid_bound` is computed."""
@@ -44,20 +45,16 @@ class CentroidErrors:
     noise_px: FloatArray  # (f, k) By temporal noise, for each of f PSFs
     bound_px: FloatArray  # (f, k) Cramer-Rao bound of it: position and flux unknown, background known
     pattern_px: FloatArray  # (f, k) By the response pattern (PRNU) and the offsets of the pixels
-    # (f, k) By where in its pixel the star stands: bias of the noiseless centroid about its mean over the phases
-    phase_px: FloatArray
-    peak: FloatArray  # (f,) Largest share of the light that one pixel gets
+    phase_px: FloatArray  # (f, k) S-curve: bias of the noiseless centroid about its mean over the sub-pixel phases
+    peak: FloatArray  # (f,) Largest fraction of the light in a pixel
 
     def __post_init__(self) -> None:
-        sizes: dict[str, int] = {}
-        freeze(self, "electrons", shape=("k",), sizes=sizes)
-        for name in ("noise_px", "bound_px", "pattern_px", "phase_px"):
-            freeze(self, name, shape=("f", "k"), sizes=sizes)
-        freeze(self, "peak", shape=("f",), sizes=sizes)
+        terms: dict[str, Any] = dict.fromkeys(("noise_px", "bound_px", "pattern_px", "phase_px"), ("f", "k"))
+        freeze_all(self, electrons=("k",), peak=("f",), **terms)
 
     @property
     def total_px(self) -> FloatArray:
-        """All of them (f, k)."""
+        """Noise, pattern and S-curve in quadrature (f, k)."""
         return np.sqrt(self.noise_px**2 + self.pattern_px**2 + self.phase_px**2)
 
 
@@ -65,34 +62,32 @@ class CentroidErrors:
 class PhaseWindows:
     """Unit stars at even sub-pixel phases: n = phases^2 windows of each of f PSFs, PSF after PSF."""
 
-    light: FloatArray  # (f n, h, w) Share of the light in each pixel
+    light: FloatArray  # (f n, h, w) Fraction of the light in each pixel
     jacobian: FloatArray  # (f n, 3, pixels) Its derivatives by column, row and flux
-    place_px: FloatArray  # (f n, 2) Column and row of the star in the window
+    position_px: FloatArray  # (f n, 2) Column and row of the star in the window
     psf_index: NDArray[np.int64]  # (f n,) Which PSF
 
     def bound_px(self, electrons: float, noise: NoiseModel, background_e: float = 0.0) -> FloatArray:
         """Cramer-Rao bound (f n, 2) of x and y for a star of these electrons: flux unknown, background known."""
-        jacobian = self.jacobian * np.array([electrons, electrons, 1.0])[:, None]
         expected = electrons * self.light.reshape(len(self.light), -1) + background_e
-        covariance = np.linalg.inv(fisher_information(jacobian, expected, noise))
-        return np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[:, :2])
+        return position_bound_px(self.scaled_jacobian(electrons), expected, noise)
+
+    def scaled_jacobian(self, electrons: float) -> FloatArray:
+        """Derivatives (f n, 3, pixels) of a star of these electrons."""
+        return self.jacobian * np.array([electrons, electrons, 1.0])[:, None]
 
 
 @lru_cache(maxsize=24)
 def phase_windows(psfs: tuple[EffectivePsf, ...], window_px: int, phases: int = 4) -> PhaseWindows:
-    """Windows of unit stars at ``phases`` x ``phases`` even places within the middle pixel; the last ones are kept."""
+    """Windows of unit stars at ``phases`` x ``phases`` even positions within the middle pixel; the last are cached."""
     step = (np.arange(phases) + 0.5) / phases - 0.5
     y, x = (value.ravel() + window_px // 2 for value in np.meshgrid(step, step, indexing="ij"))
-    place = np.tile(np.column_stack([x, y]), (len(psfs), 1))
+    position = np.tile(np.column_stack([x, y]), (len(psfs), 1))
     index = np.repeat(np.arange(len(psfs)), phases**2)
     model = EpsfModel(epsf_bank(psfs, (window_px, window_px)), index)
-    light, jacobian = model.evaluate(np.column_stack([place, np.ones(len(place))]), np.arange(len(place)))
-    return PhaseWindows(
-        light=np.maximum(light, 0.0).reshape(-1, window_px, window_px),
-        jacobian=jacobian,
-        place_px=place,
-        psf_index=index,
-    )
+    light, jacobian = model.evaluate(np.column_stack([position, np.ones(len(position))]), np.arange(len(position)))
+    light = np.maximum(light, 0.0).reshape(-1, window_px, window_px)
+    return PhaseWindows(light=light, jacobian=jacobian, position_px=position, psf_index=index)
 
 
 def predict_centroids(
@@ -108,12 +103,12 @@ def predict_centroids(
     phases: int = 4,
     response: CentroidResponse | None = None,
 ) -> CentroidErrors:
-    """Errors of a centroider on stars alone in their window.
+    """Errors of a centroider on isolated stars.
 
     Parameters
     ----------
     centroider : str
-        Its name; one that needs a PSF is given the star's own.
+        Its name; one that needs a PSF gets the PSF of the star.
     psfs : tuple of EffectivePsf
         f PSFs, of equal oversampling.
     electrons : (k,)
@@ -129,7 +124,7 @@ def predict_centroids(
     phases : int
         Sub-pixel phases along each axis.
     response : CentroidResponse, optional
-        Of a centroider without a PSF, made before with these PSFs and window; made here if left out.
+        Of a centroider without a PSF, if already computed for these PSFs and this window.
 
     Raises
     ------
@@ -141,31 +136,27 @@ def predict_centroids(
         ends = (float(flux[0]), float(flux[-1]))
         response = CentroidResponse(centroider, psfs, ends, noise=noise, window_px=window_px, phases=phases)
     windows = phase_windows(psfs, window_px, phases) if response is None else response.windows
-    count = len(windows.light) // len(psfs)
-    rows: dict[str, list[FloatArray]] = {"noise": [], "bound": [], "pattern": [], "phase": []}
+    errors: dict[str, list[FloatArray]] = {"noise_px": [], "bound_px": [], "pattern_px": [], "phase_px": []}
     for value in flux:
         light = value * windows.light
         expected = light + background_e
         variance = noise.variance_e2(expected)
         if response is None:
-            gain = _fit_gain(windows, float(value), noise, background_e)
-            offset = np.zeros((len(light), 2))
+            gain, bias = _fit_gain(windows, float(value), noise, background_e), np.zeros((len(light), 2))
         else:
-            gain, offset = response.at(value)
-        apart = offset.reshape(len(psfs), count, 2)
-        apart = apart - apart.mean(1, keepdims=True)
-        found = {
-            "noise": centroid_variance(gain, variance),
-            "bound": windows.bound_px(value, noise, background_e) ** 2,
-            "pattern": centroid_variance(gain, (prnu * light) ** 2 + offset_e**2),
-            "phase": apart.reshape(-1, 2) ** 2,
+            gain, bias = response.at(value)
+        phase_bias = bias.reshape(len(psfs), -1, 2)
+        squares = {
+            "noise_px": centroid_variance(gain, variance),
+            "bound_px": windows.bound_px(value, noise, background_e) ** 2,
+            "pattern_px": centroid_variance(gain, (prnu * light) ** 2 + offset_e**2),
+            "phase_px": (phase_bias - phase_bias.mean(1, keepdims=True)) ** 2,
         }
-        for name, square in found.items():
-            rows[name].append(np.sqrt(square.reshape(len(psfs), -1).mean(1)))
+        for name, square in squares.items():
+            errors[name].append(np.sqrt(square.reshape(len(psfs), -1).mean(1)))
+    peak = windows.light.reshape(len(psfs), -1).max(1)
     return CentroidErrors(
-        electrons=flux,
-        peak=windows.light.reshape(len(psfs), -1).max(1),
-        **{f"{name}_px": np.stack(columns, axis=1) for name, columns in rows.items()},
+        electrons=flux, peak=peak, **{name: np.stack(columns, axis=1) for name, columns in errors.items()}
     )
 
 
@@ -179,20 +170,18 @@ def psf_mismatch(
     window_px: int = 11,
     phases: int = 4,
 ) -> FloatArray:
-    """Bias of an ePSF fit with PSFs other than the stars', root mean square over phases and axes, (f, k).
+    """Bias of an ePSF fit with PSFs other than the ``true`` ones, root mean square over phases and axes, (f, k).
 
     Both PSFs are centred on the mean of the light. To first order the bias is the response of the fit to the difference
     of the two images; parameters as of `predict_centroids`.
-
-    Shapes: ``electrons`` (k,).
     """
-    told, are = phase_windows(psfs, window_px, phases), phase_windows(true, window_px, phases)
-    found = []
+    fitted, drawn = phase_windows(psfs, window_px, phases), phase_windows(true, window_px, phases)
+    rms = []
     for value in np.asarray(electrons, np.float64):
-        gain = _fit_gain(told, float(value), noise, background_e)
-        bias = np.einsum("nahw,nhw->na", gain, value * (are.light - told.light))
-        found.append(np.sqrt((bias.reshape(len(psfs), -1) ** 2).mean(1)))
-    return np.stack(found, axis=1)
+        gain = _fit_gain(fitted, float(value), noise, background_e)
+        bias = np.einsum("nahw,nhw->na", gain, value * (drawn.light - fitted.light))
+        rms.append(np.sqrt((bias.reshape(len(psfs), -1) ** 2).mean(1)))
+    return np.stack(rms, axis=1)
 
 
 def fit_bias(
@@ -203,22 +192,21 @@ def fit_bias(
     *,
     noise: NoiseModel,
     window_px: int = 11,
-    phases: int = 4,
 ) -> FloatArray:
-    """Bias of a centroider of PSFs ``psfs`` on noiseless stars with the PSFs ``true``, (f, phases^2, 2) [px].
+    """Bias of a centroider with PSFs ``psfs`` on noiseless stars with the PSFs ``true``, (f, phases^2, 2) [px].
 
     By the centroider itself (`psf_mismatch`: to first order), for positions at even sub-pixel phases.
     """
-    windows = phase_windows(true, window_px, phases)
-    stamps = noiseless_stamps(electrons * windows.light, start_px=windows.place_px, psf_index=windows.psf_index)
+    windows = phase_windows(true, window_px)
+    stamps = noiseless_stamps(electrons * windows.light, start_px=windows.position_px, psf_index=windows.psf_index)
     measured_px = get_centroider(centroid, epsf=psfs).measure(stamps, noise).pixel_px
-    return np.asarray((measured_px - windows.place_px).reshape(len(true), -1, 2))
+    return np.asarray((measured_px - windows.position_px).reshape(len(true), -1, 2))
 
 
 def _fit_gain(windows: PhaseWindows, flux: float, noise: NoiseModel, background_e: float) -> FloatArray:
-    """Response (n, 2, h, w) of weighted least squares for position and flux."""
+    """Response (n, 2, h, w) of weighted least squares for position and flux: (J W J^T)^-1 J W."""
     variance = noise.variance_e2(flux * windows.light + background_e)
-    jacobian = windows.jacobian * np.array([flux, flux, 1.0])[:, None]
+    jacobian = windows.scaled_jacobian(flux)
     weighted = jacobian / variance.reshape(len(variance), 1, -1)
     information = weighted @ jacobian.swapaxes(1, 2)
     gain = np.linalg.solve(information, weighted)[:, :2]
@@ -228,9 +216,7 @@ def _fit_gain(windows: PhaseWindows, flux: float, noise: NoiseModel, background_
 class CentroidResponse:
     """Response and bias of a centroider without a PSF on noiseless windows, against the star's electrons.
 
-    Where the weights of the estimator do not depend on the light, response times electrons is the same for all;
-    elsewhere
-    it changes slowly, and is interpolated between three stars in the logarithm of their electrons.
+    Response times electrons changes slowly with the electrons: interpolated between three stars in their logarithm.
     """
 
     def __init__(
@@ -249,24 +235,23 @@ class CentroidResponse:
                 "valid; use another centroider, e.g. epsf or windowed"
             )
         windows = self.windows = phase_windows(psfs, window_px, phases)
-        chosen = tight(get_centroider(name))
+        centroider = tight(get_centroider(name))
         knots = 1 if name in SCALE_FREE or electrons[0] == electrons[1] else KNOTS
         self.log_flux = np.log(np.geomspace(*electrons, knots))
         self.gain, self.bias = [], []
         for value in np.exp(self.log_flux):
             light = value * windows.light
-            stamps = noiseless_stamps(light, start_px=windows.place_px)
-            table = chosen.measure(stamps, noise)
-            self.bias.append(np.stack([table.x_px, table.y_px], axis=-1) - windows.place_px)
-            self.gain.append(value * linear_response(chosen, stamps, noise, light))
+            stamps = noiseless_stamps(light, start_px=windows.position_px)
+            self.bias.append(centroider.measure(stamps, noise).pixel_px - windows.position_px)
+            self.gain.append(value * linear_response(centroider, stamps, noise, light))
 
     def at(self, flux: float) -> tuple[FloatArray, FloatArray]:
         """Response (n, 2, h, w) and bias (n, 2) of a star of given electrons."""
-        share = np.interp(np.log(flux), self.log_flux, np.arange(len(self.log_flux)))
-        low = min(int(share), len(self.log_flux) - 1)
-        high, part = min(low + 1, len(self.log_flux) - 1), share - low
-        gain = (1.0 - part) * self.gain[low] + part * self.gain[high]
-        return gain / flux, (1.0 - part) * self.bias[low] + part * self.bias[high]
+        knot = np.interp(np.log(flux), self.log_flux, np.arange(len(self.log_flux)))
+        low = int(knot)
+        high, weight = min(low + 1, len(self.log_flux) - 1), knot - low
+        gain = (1.0 - weight) * self.gain[low] + weight * self.gain[high]
+        return gain / flux, (1.0 - weight) * self.bias[low] + weight * self.bias[high]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -278,10 +263,7 @@ class CentroidBound:
     sigma_px: FloatArray  # (r, k, p, p, 2) Of x and y, for phases (-1/2 + (i + 1/2) / p) of row and column
 
     def __post_init__(self) -> None:
-        sizes: dict[str, int] = {}
-        freeze(self, "radius_px", shape=("r",), sizes=sizes)
-        freeze(self, "electrons", shape=("k",), sizes=sizes)
-        freeze(self, "sigma_px", shape=("r", "k", "p", "p", 2), sizes=sizes)
+        freeze_all(self, radius_px=("r",), electrons=("k",), sigma_px=("r", "k", "p", "p", 2))
 
     def at(self, electrons: FloatArray, position_px: FloatArray, radius_px: FloatArray) -> FloatArray:
         """Bounds (n, 2) of stars at positions (n, 2): nearest PSF, interpolated in phase and in the log of the flux."""
@@ -291,8 +273,8 @@ class CentroidBound:
         phases = self.sigma_px.shape[2]
         phase = (np.asarray(position_px) + 0.5) % 1.0 * phases - 0.5
         padded = np.pad(np.log(self.sigma_px), ((0, 0), (0, 0), (1, 1), (1, 1), (0, 0)), mode="wrap")
-        place = np.stack([nearest, flux, phase[:, 1] + 1.0, phase[:, 0] + 1.0])
-        return np.stack([np.exp(map_coordinates(padded[..., axis], place, order=1)) for axis in (0, 1)], axis=-1)
+        at = np.stack([nearest, flux, phase[:, 1] + 1.0, phase[:, 0] + 1.0])
+        return np.stack([np.exp(map_coordinates(padded[..., axis], at, order=1)) for axis in (0, 1)], axis=-1)
 
 
 def centroid_bound(

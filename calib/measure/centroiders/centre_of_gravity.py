@@ -22,8 +22,7 @@ class CentreOfGravity:
     label: ClassVar[str] = "centre of gravity"
     needs_epsf: ClassVar[bool] = False
 
-    # The sums run over ``2 half_width_px + 1`` pixels each way around the pixel nearest the start position; None: the
-    # whole stamp
+    # The sums run over ``2 half_width_px + 1`` rows and columns about the pixel nearest the start; None: all of them
     half_width_px: int | None = option(3, at_least=1, unit="px")
 
     def __post_init__(self) -> None:
@@ -33,16 +32,16 @@ class CentreOfGravity:
         """Position, flux of the window and covariance of every stamp."""
         return measure_with_phase(self, stamps, noise)
 
-    def measure_by(self, stamps: Stamps, noise: NoiseModel, known: PhaseTable | None) -> StarTable:
+    def measure_by(self, stamps: Stamps, noise: NoiseModel, table: PhaseTable | None) -> StarTable:
         """The same, width and error by pixel phase from a table (`calib.measure.centroid_error.s_curve`)."""
         light, used = light_above_background(stamps, self.half_width_px)
-        return gravity_table(stamps, noise, known, weight=light, light=light, used=used)
+        return gravity_table(stamps, noise, table, weight=light, light=light, used=used)
 
     def response(self, stamps: Stamps, noise: NoiseModel) -> FloatArray:
         """Derivatives (n, 2, h, w) [px/e-] of the position by the signal of each pixel: its lever over all light."""
         light, used = light_above_background(stamps, self.half_width_px)
-        table = self.measure_by(stamps, noise, None)
-        column, row = ((table.x_px, table.y_px) - stamps.corner_px.T)[:, :, None, None]
+        position_px = self.measure_by(stamps, noise, None).pixel_px
+        column, row = (position_px - stamps.corner_px).T[:, :, None, None]
         rows, columns = np.indices(light.shape[1:])
         lever = np.stack([columns - column, rows - row], axis=1)
         total = light.sum((1, 2))[:, None, None, None]

@@ -23,7 +23,7 @@ class EpsfCentroider(LikelihoodFit):
     Attributes
     ----------
     epsf : EffectivePsf or sequence of EffectivePsf
-        The PSF; of several, ``Stamps.psf_index`` picks each star's own.
+        The PSF; of several, ``Stamps.psf_index`` is the index of each star's PSF.
     fit_background, max_shift_px, tolerance, max_iterations
         As in `calib.measure.centroiding.maximum_likelihood.LikelihoodFit`.
     """
@@ -37,7 +37,7 @@ class EpsfCentroider(LikelihoodFit):
     def models(self, stamps: Stamps) -> Callable[[slice], EpsfModel]:
         """The PSF of every stamp."""
         psfs = (self.epsf,) if isinstance(self.epsf, EffectivePsf) else tuple(self.epsf)
-        bank = epsf_bank(psfs, (stamps.electrons.shape[1], stamps.electrons.shape[2]))
+        bank = epsf_bank(psfs, stamps.window)
         if len(stamps) and not (stamps.psf_index.min() >= 0 and stamps.psf_index.max() < len(psfs)):
             raise DomainError(
                 f"Stamps.psf_index spans {stamps.psf_index.min()} to {stamps.psf_index.max()}; "

@@ -19,10 +19,9 @@ NARROWEST_PX = 0.25
 """Width below which the stated covariance of a position is too small, by 1.6 times at 0.2 px and 3 at 0.15 px."""
 
 SHARP_PX, SHARP_MISFIT = 0.75, 25.0
-"""Stars narrower than this whose pixels differ from a Gaussian by this much chi-square are flagged ``PIXEL_PHASE``: of
-a core sharper than the Gaussian, the error by pixel phase is about a tenth of the root of the misfit, in standard
-deviations, so half of one here (`tests/calib/measure/centroiding/test_sharp_stars.py`). Gaussian stars have none at any
-width."""
+"""Stars narrower than the first whose pixels differ from a Gaussian by more than the second in chi-square are flagged
+``PIXEL_PHASE``: the error by pixel phase of a core sharper than the Gaussian is about a tenth of the root of the misfit
+in standard deviations, half of one here (`tests/calib/measure/centroiding/test_sharp_stars.py`)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,23 +49,22 @@ class GaussianCentroider(LikelihoodFit):
 
     def models(self, stamps: Stamps) -> Callable[[slice], GaussianModel]:
         """The same model for every stamp."""
-        window = (stamps.electrons.shape[1], stamps.electrons.shape[2])
-        return lambda rows: GaussianModel(window, self.sigma_px)
+        return lambda rows: GaussianModel(stamps.window, self.sigma_px)
 
     def shape_start(self) -> FloatArray:
         """Widths, unless they are known."""
         return np.full(2, np.log(self.sigma_start_px)) if self.sigma_px is None else np.empty(0)
 
     def shape_columns(self, fit: PixelFit) -> dict[str, Any]:
-        """``width_px``, and the flag of widths that are half prior or next to nothing."""
+        """``width_px``, and flags of undetermined widths and of cores sharper than a Gaussian."""
         misfit = np.maximum(fit.chi2 - 1.0, 0.0) * fit.freedom  # chi-square beyond what noise leaves
         sharp = (misfit > SHARP_MISFIT) & (misfit > 10.0 * np.sqrt(fit.freedom))
         if self.sigma_px is not None:
-            told = sharp & (self.sigma_px < SHARP_PX)
-            return {"flags": np.where(told, int(StarFlag.PIXEL_PHASE), 0).astype(np.uint32)}
-        both = slice(LN_SIGMA_X, LN_SIGMA_Y + 1)
-        ln_sigma = fit.parameters[:, both]
-        variance = np.diagonal(fit.covariance, axis1=1, axis2=2)[:, both]
+            sharp &= self.sigma_px < SHARP_PX
+            return {"flags": np.where(sharp, int(StarFlag.PIXEL_PHASE), 0).astype(np.uint32)}
+        widths = slice(LN_SIGMA_X, LN_SIGMA_Y + 1)
+        ln_sigma = fit.parameters[:, widths]
+        variance = np.diagonal(fit.covariance, axis1=1, axis2=2)[:, widths]
         lost = fit.iterations == 0
         unknown = (variance > 0.5 * WIDTH_PRIOR_LN**2) & (ln_sigma < np.log(WIDTH_PRIOR_PX)) | (
             ln_sigma < np.log(NARROWEST_PX)

@@ -26,8 +26,8 @@ class ThresholdedCentreOfGravity(CentreOfGravity):
 
     threshold_sigma: float = option(3.0, at_least=0)  # T in units of the noise of a pixel without star
 
-    def measure_by(self, stamps: Stamps, noise: NoiseModel, known: PhaseTable | None) -> StarTable:
+    def measure_by(self, stamps: Stamps, noise: NoiseModel, table: PhaseTable | None) -> StarTable:
         light, used = light_above_background(stamps, self.half_width_px)
         sky = np.sqrt(noise.variance_e2(stamps.background_e))
         above = np.maximum(light - self.threshold_sigma * sky[:, None, None], 0.0) * used
-        return gravity_table(stamps, noise, known, weight=above, light=light, used=used)
+        return gravity_table(stamps, noise, table, weight=above, light=light, used=used)

@@ -53,7 +53,7 @@ class WindowedCentroid:
         """Position, flux of the stamp and covariance of every stamp."""
         return measure_with_phase(self, stamps, noise)
 
-    def measure_by(self, stamps: Stamps, noise: NoiseModel, known: PhaseTable | None) -> StarTable:
+    def measure_by(self, stamps: Stamps, noise: NoiseModel, table: PhaseTable | None) -> StarTable:
         """The same, width and error by pixel phase from a table.
 
         A Gaussian of variance s^2 under a window of variance w^2 has the moment m with 1/m = 1/s^2 + 1/w^2.
@@ -61,24 +61,24 @@ class WindowedCentroid:
         light, used = light_above_background(stamps, None)
         start = stamps.start_px - stamps.corner_px
         sigma = self._window_sigma(light, start)
-        found = self._fixed_point(light, np.asarray(used.any(axis=(1, 2))), start, sigma)
+        x, y, iterations, converged, lost = self._fixed_point(light, np.asarray(used.any(axis=(1, 2))), start, sigma)
         flags = np.array(stamps.flags)
-        flags[~found.done & ~found.lost] |= int(StarFlag.NOT_CONVERGED)
-        sums = _window_sums(light, found.x, found.y, sigma)
+        flags[~converged & ~lost] |= int(StarFlag.NOT_CONVERGED)
+        sums = _window_sums(light, x, y, sigma)
         variance = pixel_variance(stamps, noise, used)
         with np.errstate(divide="ignore", invalid="ignore"):
-            narrower = 2.0 * sums.one / (sums.xx + sums.yy) - sigma**-2
+            narrower = 2.0 * sums.total / (sums.xx + sums.yy) - sigma**-2
         return measured_table(
             stamps,
-            x=found.x,
-            y=found.y,
+            x=x,
+            y=y,
             light=light,
-            covariance=_covariance(sums, variance, found.x, found.y, sigma),
-            iterations=found.iterations,
+            covariance=_covariance(sums, variance, x, y, sigma),
+            iterations=iterations,
             flags=flags,
-            lost=found.lost,
-            moment_px2=np.where(found.lost, np.nan, 1.0 / np.maximum(narrower, 1e-2)),
-            known=known,
+            lost=lost,
+            moment_px2=np.where(lost, np.nan, 1.0 / np.maximum(narrower, 1e-2)),
+            table=table,
         )
 
     def _window_sigma(self, light: FloatArray, start: FloatArray) -> FloatArray:
@@ -91,18 +91,21 @@ class WindowedCentroid:
 
     def _fixed_point(
         self, light: FloatArray, usable: NDArray[np.bool_], start: FloatArray, sigma: FloatArray
-    ) -> _FixedPoint:
-        """Iterate every star until its step is small, its light is gone, or it has left the window."""
+    ) -> tuple[FloatArray, FloatArray, NDArray[np.int64], NDArray[np.bool_], NDArray[np.bool_]]:
+        """Positions x, y [px from the window's first pixel], iterations, and whether converged or without light, (n,).
+
+        Every star is iterated until its step is small, its light vanishes, or it leaves the window.
+        """
         n, height, width = light.shape
         x, y = start[:, 0].copy(), start[:, 1].copy()
-        iterations, done, lost = np.zeros(n, np.int64), np.zeros(n, dtype=bool), np.array(~usable, dtype=bool)
+        iterations, converged, lost = np.zeros(n, np.int64), np.zeros(n, dtype=bool), np.array(~usable, dtype=bool)
         active = np.flatnonzero(usable)
         for _ in range(self.max_iterations):
             if not active.size:
                 break
             sums = _window_sums(light[active], x[active], y[active], sigma[active])
-            dark = sums.one <= 0
-            total = np.where(dark, 1.0, sums.one)
+            dark = sums.total <= 0
+            total = np.where(dark, 1.0, sums.total)
             step_x, step_y = 2.0 * sums.x / total, 2.0 * sums.y / total
             size = np.hypot(step_x, step_y)
             shrink = np.where(dark, 0.0, np.minimum(1.0, MAX_STEP_PX / np.maximum(size, 1e-300)))  # no division by 0
@@ -110,21 +113,10 @@ class WindowedCentroid:
             y[active] += shrink * step_y
             iterations[active] += 1
             lost[active] |= dark
-            done[active] = ~dark & (size < self.tolerance_px)
+            converged[active] = ~dark & (size < self.tolerance_px)
             inside = (np.abs(x[active] - (width - 1) / 2) < width) & (np.abs(y[active] - (height - 1) / 2) < height)
-            active = active[~dark & ~done[active] & inside]
-        return _FixedPoint(x=x, y=y, iterations=iterations, done=done, lost=lost)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _FixedPoint:
-    """Where the iteration of n stars ended [px from the window's first pixel], and how."""
-
-    x: FloatArray
-    y: FloatArray
-    iterations: NDArray[np.int64]
-    done: NDArray[np.bool_]
-    lost: NDArray[np.bool_]
+            active = active[~dark & ~converged[active] & inside]
+        return x, y, iterations, converged, lost
 
 
 def _window(size: int, centre: FloatArray, sigma: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -145,18 +137,18 @@ def _covariance(sums: Moments, variance: FloatArray, x: FloatArray, y: FloatArra
     squared = _window_sums(variance, x, y, sigma / np.sqrt(2.0))  # the window squared is a narrower window
     single = _window_sums(variance, x, y, sigma)
     inverse2 = 1.0 / sigma**2
-    slope_xx, slope_yy, slope_xy = sums.xx * inverse2 - sums.one, sums.yy * inverse2 - sums.one, sums.xy * inverse2
+    slope_xx, slope_yy, slope_xy = sums.xx * inverse2 - sums.total, sums.yy * inverse2 - sums.total, sums.xy * inverse2
     determinant = slope_xx * slope_yy - slope_xy**2
-    bad = ~(np.abs(determinant) > 1e-30)
-    safe = np.where(bad, 1.0, determinant)
-    inverse = _symmetric(slope_yy / safe, slope_xx / safe, -slope_xy / safe)
+    singular = ~(np.abs(determinant) > 1e-30)
+    determinant = np.where(singular, 1.0, determinant)
+    inverse = _symmetric(slope_yy / determinant, slope_xx / determinant, -slope_xy / determinant)
     noise = _symmetric(squared.xx, squared.yy, squared.xy)
     covariance = np.empty((len(x), 3, 3))
     covariance[:, :FLUX, :FLUX] = inverse @ noise @ inverse.swapaxes(1, 2)
     mixed = -(inverse @ np.stack([single.x, single.y], axis=1)[:, :, None])[:, :, 0]
     covariance[:, :FLUX, FLUX] = covariance[:, FLUX, :FLUX] = mixed
     covariance[:, FLUX, FLUX] = variance.sum(axis=(1, 2))
-    covariance[bad] = np.nan
+    covariance[singular] = np.nan
     return covariance
 
 

@@ -16,8 +16,8 @@ LN_SIGMA_LIMIT = 3.0
 WIDTH_PRIOR_PX, WIDTH_PRIOR_LN = 0.4, 0.5
 """Below the first [px], ln sigma is taken as normal about it with the second as its standard deviation.
 
-Of a spot whose light is in one or two pixels they tell (edge - x) / sigma alone: the likelihood stays the same while
-sigma goes to 0 and x to the edge. A Gaussian of 0.4 px is determined at any phase from a flux of 1000 e- on, and optics
+Light in one or two pixels determines (edge - x) / sigma alone: the likelihood stays the same while sigma goes to 0 and
+x to the edge. A Gaussian of 0.4 px is determined at any phase from a flux of 1000 e- on, and optics
 and charge diffusion seldom leave less than half of that: positions follow within their stated covariance down to 0.25
 px (Monte Carlo of `tests/calib/measure/centroiding/test_narrow_gaussian.py`), and wider stars are as without prior."""
 

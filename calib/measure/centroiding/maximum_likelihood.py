@@ -32,7 +32,7 @@ from optics.records import concatenated
 
 T = TypeVar("T")
 MOST_LIGHT = 10.0
-"""Times the light of its window that a star may have: no pixel of its core may be usable, and its wings alone tell."""
+"""Largest flux of a star over the light of its window, of whose core no pixel may be usable."""
 RESPONSE_STEP = 1e-3
 """Differences of the score by a parameter [its standard deviation]."""
 UNDAMPED = 8
@@ -50,18 +50,15 @@ class PixelModel(Protocol):
     """(k,) Largest change of each parameter in one step."""
 
     def prior(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-        """Prior of ``parameters`` (n, k): slope (n, k) of the logarithm of its density, and its negative curvature (n,
-        k); None if nothing is."""
-        ...
+        """Prior of ``parameters`` (n, k): slope and negative curvature (n, k) of its log-density, or None."""
 
     def evaluate(self, parameters: FloatArray, rows: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
         """Signal (n, p) and its derivatives (n, k, p) for ``parameters`` (n, k) of the stars ``rows`` (n,)."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PixelFit:
-    """What `fit_pixels` returns: parameters (n, k), covariance (n, k, k); chi2, freedom, iterations, converged (n,)."""
+    """Result of `fit_pixels`: parameters (n, k), covariance (n, k, k); chi2, freedom, iterations, converged (n,)."""
 
     parameters: FloatArray
     covariance: FloatArray
@@ -86,7 +83,7 @@ def fit_pixels(
     """Fisher scoring: steps ``(J^T W J)^-1 J^T W (d - m)`` with ``W = 1 / variance(m)`` until they are small.
 
     A prior of the model adds its slope to the score and its curvature to the information. Where the information of a
-    parameter after the flux changes steeply, steps would jump to and fro; one that turns back goes half way at most.
+    parameter after the flux changes steeply, steps would oscillate; one that reverses is at most half of the last.
     After ``UNDAMPED`` steps the same holds for the position: where the model does not fit the data (PSF of another
     filter), the information is smaller than the curvature of the likelihood, and full steps can oscillate.
 
@@ -108,21 +105,20 @@ def fit_pixels(
     for _ in range(max_iterations):
         if not active.size:
             break
-        everyone = active.size == n
-        now = theta if everyone else theta[active]
-        pixels = (data, valid, background) if everyone else (data[active], valid[active], background[active])
-        jacobian, weight, residual = _weighed(model, now, active, *pixels, noise)
+        rows: Any = slice(None) if active.size == n else active
+        last = theta[rows]
+        jacobian, weight, residual = _weighed(model, last, active, data[rows], valid[rows], background[rows], noise)
         weighted = jacobian * weight[:, None, :]
         information = weighted @ jacobian.swapaxes(1, 2)
         score = (weighted @ residual[:, :, None])[:, :, 0]
-        _add_prior(model.prior(now[:, :k]), score, information)
+        _add_prior(model.prior(last[:, :k]), score, information)
         inverse, good = _inverse(information)
         step = (inverse @ score[:, :, None])[:, :, 0]
         sigma = np.sqrt(np.diagonal(inverse, axis1=1, axis2=2))
         small = np.all(np.abs(step[:, : FLUX + 1]) <= tolerance * sigma[:, : FLUX + 1], axis=1)
         step = strides.shortened(step, active)
-        moved = now + step
-        moved[:, FLUX] = np.maximum(moved[:, FLUX], 1e-3 * np.abs(now[:, FLUX]) + 1e-6)  # a star has no negative light
+        moved = last + step
+        moved[:, FLUX] = np.maximum(moved[:, FLUX], 1e-3 * np.abs(last[:, FLUX]) + 1e-6)  # a star has no negative light
         good &= np.all(np.isfinite(moved), axis=1)
         theta[active[good]] = moved[good]
         covariance[active] = np.where(good[:, None, None], inverse, np.nan)
@@ -131,12 +127,7 @@ def fit_pixels(
         converged[active] = small & good
         active = active[good & ~small]
     return PixelFit(
-        parameters=theta,
-        covariance=covariance,
-        chi2=chi2,
-        freedom=freedom,
-        iterations=iterations,
-        converged=converged,
+        parameters=theta, covariance=covariance, chi2=chi2, freedom=freedom, iterations=iterations, converged=converged
     )
 
 
@@ -168,11 +159,10 @@ def fit_response(
     background: FloatArray,
     noise: NoiseModel,
 ) -> FloatArray:
-    """Derivatives (n, 2, p) of x and y by the data: derivatives of the root of the score, by the implicit function
-    theorem.
+    """Derivatives (n, 2, p) of x and y, the root of the score, by the data: implicit function theorem.
 
-    The score's own derivatives are central differences by a thousandth of a standard deviation of each parameter; of
-    data that do not fit the model they hold more than the information. NaN where the fit has no covariance.
+    The derivatives of the score are central differences by a thousandth of a standard deviation of each parameter; of
+    data that do not fit the model they differ from the information. NaN where the fit has no covariance.
     """
     theta, rows = fit.parameters, np.arange(len(data))
     sigma = np.sqrt(np.diagonal(fit.covariance, axis1=1, axis2=2))
@@ -189,25 +179,25 @@ def fit_response(
         step = np.zeros_like(theta)
         step[:, i] = RESPONSE_STEP * sigma[:, i]
         slope[:, :, i] = (score(theta + step) - score(theta - step)) / (2.0 * RESPONSE_STEP)
-    known = np.asarray(np.isfinite(slope).all((1, 2)))
-    slope[~known] = np.eye(theta.shape[1])
+    finite = np.asarray(np.isfinite(slope).all((1, 2)))
+    slope[~finite] = np.eye(theta.shape[1])
     jacobian, weight, _ = _weighed(model, theta, rows, data, valid, background, noise)
-    found = -np.linalg.solve(slope, jacobian * weight[:, None, :] * sigma[:, :, None])[:, :FLUX] * sigma[:, :FLUX, None]
-    return np.where(known[:, None, None], found, np.nan)
+    response = -np.linalg.solve(slope, jacobian * weight[:, None, :] * sigma[:, :, None])[:, :FLUX]
+    return np.where(finite[:, None, None], response * sigma[:, :FLUX, None], np.nan)
 
 
-def _add_prior(known: tuple[FloatArray, FloatArray] | None, score: FloatArray, information: FloatArray) -> None:
+def _add_prior(prior: tuple[FloatArray, FloatArray] | None, score: FloatArray, information: FloatArray) -> None:
     """Add the prior, in place."""
-    if known is not None:
-        slope, curvature = known
+    if prior is not None:
+        slope, curvature = prior
         index = np.arange(slope.shape[1])
         score[:, index] += slope
         information[:, index, index] += curvature
 
 
 class _Strides:
-    """Lengths of steps of n stars: at most ``longest`` (k,), half the last one where a shape turns back, and after
-    `UNDAMPED` steps half of themselves where the position does."""
+    """Lengths of steps of n stars: at most ``longest`` (k,), half the last one where the step of a shape parameter
+    reverses, and after `UNDAMPED` steps half of themselves where that of the position does."""
 
     def __init__(self, longest: FloatArray, n: int, *, shape: slice) -> None:
         self.longest, self.shape = longest, shape
@@ -216,16 +206,16 @@ class _Strides:
         self.taken, self.move = 0, np.zeros((n, FLUX))  # Number of steps, and the last one of each position
 
     def shortened(self, step: FloatArray, active: NDArray[np.int64]) -> FloatArray:
-        """The steps (m, k) of the stars ``active`` (m,), each made shorter as a whole where it is too long."""
-        no_zero = np.maximum(np.abs(step), 1e-300)  # a step of exactly 0 is no division by 0
-        part = np.min(self.longest / no_zero, axis=1)
+        """The steps (m, k) of the stars ``active`` (m,), scaled down where they are too long."""
+        size = np.maximum(np.abs(step), 1e-300)  # avoids division by 0
+        fraction = np.min(self.longest / size, axis=1)
         if self.last.size:
             last = self.last[active]
             most = np.minimum(1.3 * self.reach[active], self.longest[self.shape])
             reach = np.where(step[:, self.shape] * last < 0, 0.5 * np.abs(last), most)
             self.reach[active] = reach
-            part = np.minimum(part, np.min(reach / no_zero[:, self.shape], axis=1))
-        out = step * np.minimum(1.0, part)[:, None]
+            fraction = np.minimum(fraction, np.min(reach / size[:, self.shape], axis=1))
+        out = step * np.minimum(1.0, fraction)[:, None]
         self.last[active] = out[:, self.shape]
         if self.taken >= UNDAMPED:
             out[(out[:, :FLUX] * self.move[active]).sum(1) < 0] *= 0.5
@@ -240,9 +230,9 @@ def _inverse(information: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
     scale = np.where(good[:, None], 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 1.0)
     identity = np.eye(information.shape[1])
     scaled = np.where(good[:, None, None], information * scale[:, :, None] * scale[:, None, :], identity)
-    inverse = np.linalg.inv(scaled + 1e-13 * identity)  # far below rounding of any sound matrix; keeps inv from raising
-    good &= np.all(np.diagonal(inverse, axis1=1, axis2=2) < 1e10, axis=1)
-    good &= np.all(np.diagonal(inverse, axis1=1, axis2=2) > 0, axis=1)
+    inverse = np.linalg.inv(scaled + 1e-13 * identity)  # below the rounding of a regular matrix; keeps inv from raising
+    variance = np.diagonal(inverse, axis1=1, axis2=2)
+    good &= np.all((variance > 0) & (variance < 1e10), axis=1)
     inverse = np.where(good[:, None, None], inverse, identity)
     return np.asarray(inverse * scale[:, :, None] * scale[:, None, :]), good
 
@@ -251,7 +241,7 @@ def _inverse(information: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
 class LikelihoodFit:
     """Options that all maximum-likelihood centroiders share, and the fit itself."""
 
-    fit_background: bool = False  # Fit a constant per star too, instead of trusting ``Stamps.background_e``
+    fit_background: bool = False  # Fit a constant per star in place of ``Stamps.background_e``
     # Farthest plausible distance from the start position; beyond it the star is flagged ``NOT_CONVERGED``
     max_shift_px: float = option(2.0, above=0, unit="px")
     tolerance: float = option(0.01, above=0)  # Last step in units of the standard deviation
@@ -281,11 +271,11 @@ class LikelihoodFit:
         model = self.models(stamps)
 
         def part(rows: slice) -> FloatArray:
-            of = model(rows)
-            pixels, fit = self._fitted(of, stamps, rows, noise)
-            return fit_response(of, fit, **pixels, noise=noise)
+            pixel_model = model(rows)
+            pixels, fit = self._fitted(pixel_model, stamps, rows, noise)
+            return fit_response(pixel_model, fit, **pixels, noise=noise)
 
-        return np.concatenate(_over_chunks(part, len(stamps))).reshape(-1, 2, *stamps.electrons.shape[1:])
+        return np.concatenate(_over_chunks(part, len(stamps))).reshape(-1, 2, *stamps.window)
 
     def _fitted(
         self, model: PixelModel, stamps: Stamps, rows: slice, noise: NoiseModel
@@ -317,25 +307,25 @@ class LikelihoodFit:
         flags = np.array(stamps.flags)
         lost = fit.iterations == 0
         offset = theta[:, :FLUX] + stamps.corner_px - stamps.start_px
-        told = self.shape_columns(fit)
-        flags |= told.pop("flags", 0)
+        columns = self.shape_columns(fit)
+        flags |= columns.pop("flags", 0)
         far = np.hypot(offset[:, X], offset[:, Y]) > self.max_shift_px
         flags[lost] |= int(StarFlag.NO_DATA)
         flags[~lost & (far | ~fit.converged)] |= int(StarFlag.NOT_CONVERGED)
-        place, flux = theta[:, :FLUX] + stamps.corner_px, theta[:, FLUX]
+        position, flux = theta[:, :FLUX] + stamps.corner_px, theta[:, FLUX]
         background = theta[:, -1] if self.fit_background else stamps.background_e
         covariance = fit.covariance[:, : FLUX + 1, : FLUX + 1]
         light, bound = _light(stamps, noise)
-        astray = ~lost & ~((np.abs(flux) <= bound) & _inside(theta, stamps) & np.isfinite(place).all(axis=1))
-        if astray.any():
-            flags[astray] |= int(StarFlag.UNDETERMINED | StarFlag.NOT_CONVERGED)
-            place = np.where(astray[:, None], stamps.start_px, place)
-            flux = np.where(astray, light, flux)
-            background = np.where(astray, stamps.background_e, background)
-            covariance = np.where(astray[:, None, None], _moment_covariance(stamps, noise, light), covariance)
+        diverged = ~lost & ~((np.abs(flux) <= bound) & _inside(theta, stamps) & np.isfinite(position).all(axis=1))
+        if diverged.any():
+            flags[diverged] |= int(StarFlag.UNDETERMINED | StarFlag.NOT_CONVERGED)
+            position = np.where(diverged[:, None], stamps.start_px, position)
+            flux = np.where(diverged, light, flux)
+            background = np.where(diverged, stamps.background_e, background)
+            covariance = np.where(diverged[:, None, None], _moment_covariance(stamps, noise, light), covariance)
         return StarTable(
-            x_px=np.where(lost, np.nan, place[:, X]),
-            y_px=np.where(lost, np.nan, place[:, Y]),
+            x_px=np.where(lost, np.nan, position[:, X]),
+            y_px=np.where(lost, np.nan, position[:, Y]),
             flux_e=np.where(lost, np.nan, flux),
             background_e=background,
             covariance=covariance,
@@ -343,12 +333,12 @@ class LikelihoodFit:
             freedom=fit.freedom,
             iterations=fit.iterations,
             flags=flags,
-            **told,
+            **columns,
         )
 
 
 def _light(stamps: Stamps, noise: NoiseModel) -> tuple[FloatArray, FloatArray]:
-    """Light of each window (n,) [e-] without background, and the most that its pixels can stand for."""
+    """Light of each window (n,) [e-] without background, and the largest plausible flux."""
     above = np.where(stamps.valid, stamps.electrons - stamps.background_e[:, None, None], 0.0)
     variance = noise.variance_e2(stamps.background_e) * stamps.valid.sum(axis=(1, 2))
     light = np.maximum(above.sum(axis=(1, 2)), np.sqrt(variance))
@@ -356,36 +346,31 @@ def _light(stamps: Stamps, noise: NoiseModel) -> tuple[FloatArray, FloatArray]:
 
 
 def _inside(theta: FloatArray, stamps: Stamps) -> NDArray[np.bool_]:
-    """Whether places (n, k) lie in their windows."""
-    rows, columns = stamps.electrons.shape[1:]
-    inside_x = (theta[:, X] > -0.5) & (theta[:, X] < columns - 0.5)
-    return np.asarray(inside_x & (theta[:, Y] > -0.5) & (theta[:, Y] < rows - 0.5))
+    """Whether positions (n, k) lie in their windows."""
+    position, size = theta[:, : Y + 1], np.array(stamps.window[::-1])
+    return np.asarray(((position > -0.5) & (position < size - 0.5)).all(axis=1))
 
 
 def _moment_covariance(stamps: Stamps, noise: NoiseModel, light: FloatArray) -> FloatArray:
-    """Covariance (n, 3, 3) of place and flux where only the light of the window is known: a matched filter of 1 px."""
+    """Covariance (n, 3, 3) of position and flux by the light of the window alone: a matched filter of 1 px."""
     variance = noise.variance_e2(stamps.background_e) * stamps.valid.sum(axis=(1, 2)) + light
-    out = np.zeros((len(light), FLUX + 1, FLUX + 1))
+    covariance = np.zeros((len(light), FLUX + 1, FLUX + 1))
     with np.errstate(invalid="ignore", divide="ignore"):  # a window without a valid pixel has neither
-        place = 2.0 * variance / light**2
-    out[:, X, X] = out[:, Y, Y] = np.fmin(place, 0.25 * stamps.electrons.shape[1] ** 2)
-    out[:, FLUX, FLUX] = variance
-    return out
+        position = 2.0 * variance / light**2
+    covariance[:, X, X] = covariance[:, Y, Y] = np.fmin(position, 0.25 * stamps.window[0] ** 2)
+    covariance[:, FLUX, FLUX] = variance
+    return covariance
 
 
 def _over_chunks(part: Callable[[slice], T], count: int) -> list[T]:
     """``part`` of slices of ``count`` stars, over the processor's cores."""
     slices = [slice(i, min(i + CHUNK, count)) for i in range(0, count, CHUNK)]
-    workers = min(len(slices), _cores())
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    workers = min(len(slices), cores)
     if workers < 2:
         return [part(rows) for rows in slices]
     with ThreadPoolExecutor(workers) as pool:
         return list(pool.map(part, slices))
-
-
-def _cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _start(stamps: Stamps, rows: slice, noise: NoiseModel, shape_start: FloatArray) -> FloatArray:

@@ -24,7 +24,7 @@ FWHM_PER_SIGMA = 2.354820045
 class Moments(NamedTuple):
     """Sums of values times powers of offsets, each (n,): ``xy`` is the sum of value * x * y."""
 
-    one: FloatArray
+    total: FloatArray
     x: FloatArray
     y: FloatArray
     xx: FloatArray
@@ -35,9 +35,7 @@ class Moments(NamedTuple):
     def of(cls, values: FloatArray, rows: FloatArray, columns: FloatArray) -> Moments:
         """Moments of ``values`` (n, h, w), given `powers` of the offsets of rows (n, 3, h) and columns (n, 3, w)."""
         sums = rows @ values @ columns.swapaxes(1, 2)  # [n, power of y, power of x]
-        return cls(
-            one=sums[:, 0, 0], x=sums[:, 0, 1], y=sums[:, 1, 0], xx=sums[:, 0, 2], xy=sums[:, 1, 1], yy=sums[:, 2, 0]
-        )
+        return cls(*(sums[:, y, x] for y, x in ((0, 0), (0, 1), (1, 0), (0, 2), (1, 1), (2, 0))))
 
 
 TIE_PX2 = 1e-9
@@ -50,7 +48,7 @@ def powers(offset: FloatArray) -> FloatArray:
 
 
 def light_above_background(stamps: Stamps, half_width_px: int | None) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Light above the background and the pixels that count, (n, h, w); both zero outside the sub-window."""
+    """Light above the background and the used pixels, (n, h, w); both zero outside the sub-window."""
     used = stamps.valid
     if half_width_px is not None:
         centre = np.rint(stamps.start_px - stamps.corner_px)
@@ -61,9 +59,9 @@ def light_above_background(stamps: Stamps, half_width_px: int | None) -> tuple[F
 
 
 def pixel_variance(stamps: Stamps, noise: NoiseModel, used: NDArray[np.bool_]) -> FloatArray:
-    """Variance [e-^2] of the used pixels (n, h, w) as the pixels themselves show it, 0 for the others.
+    """Variance [e-^2] of the used pixels (n, h, w) from their own signal, 0 for the others.
 
-    Electrons + floor is an unbiased estimate for each pixel; clipping single pixels at zero would raise the sum.
+    Signal + floor is unbiased for each pixel; clipping single pixels at zero would raise the sum.
     """
     return np.where(used, stamps.electrons + noise.floor_e2, 0.0)
 
@@ -82,28 +80,28 @@ def half_light_radius(light: FloatArray, x: FloatArray, y: FloatArray) -> FloatA
     k = np.arange(n)
     before = np.where(first > 0, growth[k, np.maximum(first - 1, 0)], 0.0)
     rise = growth[k, first] - before
-    part = np.divide(half[:, 0] - before, rise, out=np.ones(n), where=rise > 0)
-    return np.sqrt((first + np.clip(part, 0.0, 1.0)) / np.pi)
+    fraction = np.divide(half[:, 0] - before, rise, out=np.ones(n), where=rise > 0)
+    return np.sqrt((first + np.clip(fraction, 0.0, 1.0)) / np.pi)
 
 
 def _even_among_equals(growth: FloatArray, radius2: FloatArray) -> FloatArray:
-    """Growth curves (n, k) that rise evenly over pixels of one radius, in any order of sorting."""
+    """Growth curves (n, k) that rise evenly over pixels of equal radius, in any order of sorting."""
     count = radius2.shape[1]
-    apart = np.diff(radius2, axis=1) > TIE_PX2
-    place = np.broadcast_to(np.arange(count), radius2.shape)
+    step = np.diff(radius2, axis=1) > TIE_PX2
+    rank = np.broadcast_to(np.arange(count), radius2.shape)
     edge = np.ones((len(radius2), 1), dtype=bool)
-    first = np.maximum.accumulate(np.where(np.hstack([edge, apart]), place, 0), axis=1)
-    last = np.where(np.hstack([apart, edge]), place, count - 1)[:, ::-1]
+    first = np.maximum.accumulate(np.where(np.hstack([edge, step]), rank, 0), axis=1)
+    last = np.where(np.hstack([step, edge]), rank, count - 1)[:, ::-1]
     last = np.minimum.accumulate(last, axis=1)[:, ::-1]
     below = np.take_along_axis(np.hstack([np.zeros((len(growth), 1)), growth]), first, axis=1)
     top = np.take_along_axis(growth, last, axis=1)
-    return below + (top - below) * (place - first + 1) / (last - first + 1)
+    return below + (top - below) * (rank - first + 1) / (last - first + 1)
 
 
 def gravity_table(
     stamps: Stamps,
     noise: NoiseModel,
-    known: PhaseTable | None,
+    table: PhaseTable | None,
     *,
     weight: FloatArray,
     light: FloatArray,
@@ -117,36 +115,35 @@ def gravity_table(
     columns, rows = np.arange(width, dtype=float), np.arange(height, dtype=float)
     total = weight.sum(axis=(1, 2))
     lost = ~(total > 0)
-    safe = np.where(lost, 1.0, total)
+    divisor = np.where(lost, 1.0, total)
     across, down = weight.sum(axis=1), weight.sum(axis=2)
-    x = across @ columns / safe
-    y = down @ rows / safe
+    x = across @ columns / divisor
+    y = down @ rows / divisor
     variance = pixel_variance(stamps, noise, used)
     along_y, along_x = powers(rows - y[:, None]), powers(columns - x[:, None])
     second = Moments.of(variance * (weight != 0), along_y, along_x)
     spread = (across[:, None, :] @ along_x[:, 2, :, None] + down[:, None, :] @ along_y[:, 2, :, None])[:, 0, 0]
     covariance = np.empty((len(x), 3, 3))
-    covariance[:, X, X] = second.xx / safe**2
-    covariance[:, Y, Y] = second.yy / safe**2
-    covariance[:, X, Y] = covariance[:, Y, X] = second.xy / safe**2
-    covariance[:, X, FLUX] = covariance[:, FLUX, X] = second.x / safe
-    covariance[:, Y, FLUX] = covariance[:, FLUX, Y] = second.y / safe
+    covariance[:, X, X] = second.xx / divisor**2
+    covariance[:, Y, Y] = second.yy / divisor**2
+    covariance[:, X, Y] = covariance[:, Y, X] = second.xy / divisor**2
+    covariance[:, X, FLUX] = covariance[:, FLUX, X] = second.x / divisor
+    covariance[:, Y, FLUX] = covariance[:, FLUX, Y] = second.y / divisor
     covariance[:, FLUX, FLUX] = variance.sum(axis=(1, 2))
     flags = np.array(stamps.flags)
     outside = (np.abs(x - (width - 1) / 2) > width / 2) | (np.abs(y - (height - 1) / 2) > height / 2)
     flags[outside & ~lost] |= int(StarFlag.NOT_CONVERGED)
-    once = np.ones(len(x), np.int64)
     return measured_table(
         stamps,
         x=x,
         y=y,
-        light=total if light is weight else light.sum(axis=(1, 2)),
+        light=light,
         covariance=covariance,
-        iterations=once,
+        iterations=np.ones(len(x), np.int64),
         flags=flags,
         lost=lost,
-        moment_px2=np.where(lost, np.nan, 0.5 * spread / safe),
-        known=known,
+        moment_px2=np.where(lost, np.nan, 0.5 * spread / divisor),
+        table=table,
     )
 
 
@@ -161,7 +158,7 @@ def measured_table(
     flags: NDArray[np.uint32],
     lost: NDArray[np.bool_],
     moment_px2: FloatArray | None = None,
-    known: PhaseTable | None = None,
+    table: PhaseTable | None = None,
 ) -> StarTable:
     """Result of a centroider without a PSF model, as a `StarTable`.
 
@@ -175,12 +172,11 @@ def measured_table(
     return StarTable(
         x_px=np.where(lost, np.nan, x + stamps.corner_px[:, 0]),
         y_px=np.where(lost, np.nan, y + stamps.corner_px[:, 1]),
-        flux_e=np.where(lost, np.nan, light.sum(axis=(1, 2)) if light.ndim == 3 else light),
+        flux_e=np.where(lost, np.nan, light.sum(axis=(1, 2))),
         background_e=stamps.background_e,
         covariance=covariance,
-        chi2=np.full(len(x), np.nan),
         iterations=iterations,
-        **phase_columns(moment_px2, covariance, flags, known),
+        **phase_columns(moment_px2, covariance, flags, table),
     )
 
 
@@ -204,40 +200,19 @@ def disk_centre_variance_px2(
     column_e: float,
     prnu: float,
 ) -> FloatArray:
-    """Variance (n,) per axis of `centre_of_light` for a disk of even light, in closed form.
+    """Variance (n,) per axis of `centre_of_light` for a disk of ``level_e`` (n,) electrons per pixel, in closed form.
 
     The centre moves by ``(x - x_c) / F`` times the noise of a pixel, F the disk's electrons; the window's border is
-    subtracted.
-
-    Parameters
-    ----------
-    level_e : (n,)
-        Electrons per pixel in the disk.
-    radius_px : float
-        Radius of the disk; no pixel cuts it.
-    window_px : int
-        Side of the window.
-    frames : int
-        Frames that are averaged.
-    floor_e2 : float
-        Temporal variance of a dark pixel [e-^2].
-    offset_e, column_e : float
-        Standard deviations of the fixed pattern of pixels and of columns.
-    prnu : float
-        Relative standard deviation of the response.
+    subtracted. ``frames`` are averaged; ``floor_e2``: temporal variance of a dark pixel; ``offset_e``, ``column_e``:
+    standard deviations of the fixed pattern of pixels and of columns.
     """
     level = np.asarray(level_e, float)
     light = level * np.pi * radius_px**2
-    place = np.arange(window_px) - (window_px - 1) / 2
-    of_disk, of_window = np.pi * radius_px**4 / 4, window_px * (place**2).sum()  # integrals of x^2
-    border = window_px**2 * np.sqrt(1.0 / 12.0)  # a wrong border pulls towards the window's middle, some 0.3 px off
+    x2 = ((np.arange(window_px) - (window_px - 1) / 2) ** 2).sum()
+    of_disk, of_window = np.pi * radius_px**4 / 4, window_px * x2  # integrals of x^2
+    border = window_px**2 * np.sqrt(1.0 / 12.0)  # a wrong border moves it to the window's middle, some 0.3 px off
     fixed2 = offset_e**2 + floor_e2 / frames
-    return (
-        np.asarray(
-            (level / frames + (prnu * level) ** 2) * of_disk
-            + fixed2 * of_window
-            + column_e**2 * window_px**2 * (place**2).sum() / 2  # columns move x alone, half of it per axis
-            + (border**2) * fixed2 / (4 * window_px - 4)
-        )
-        / light**2
-    )
+    variance = (level / frames + (prnu * level) ** 2) * of_disk + fixed2 * of_window
+    variance += column_e**2 * window_px**2 * x2 / 2  # columns move x alone, half of it per axis
+    variance += border**2 * fixed2 / (4 * window_px - 4)
+    return np.asarray(variance / light**2)

@@ -19,13 +19,12 @@ if TYPE_CHECKING:
 class Centroider(Protocol):
     """Anything that turns stamps into positions and fluxes with covariance; a frozen dataclass of its options."""
 
-    name: ClassVar[str]  # The name it goes by in `get_centroider` and in configurations
-    label: ClassVar[str]  # What tables and figures call it
+    name: ClassVar[str]  # In `get_centroider` and in configurations
+    label: ClassVar[str]  # In tables and figures
     needs_epsf: ClassVar[bool]  # Whether it has an option ``epsf`` (an `EffectivePsf` or several) that must be given
 
     def measure(self, stamps: Stamps, noise: NoiseModel) -> StarTable:
         """One row per stamp, in order; the stamps are not changed."""
-        ...
 
 
 _REGISTRY: dict[str, str | type[Centroider]] = {
@@ -53,15 +52,15 @@ def centroider_class(name: str) -> type[Centroider]:
     """Class of a centroider, with its name, label and needs."""
     if name not in _REGISTRY:
         raise unknown_name("centroider", name, _REGISTRY)
-    found = _REGISTRY[name]
-    if isinstance(found, str):
-        module, _, attribute = found.partition(":")
-        found = _REGISTRY[name] = getattr(import_module(module), attribute)
-    return found
+    entry = _REGISTRY[name]
+    if isinstance(entry, str):
+        module, _, attribute = entry.partition(":")
+        entry = _REGISTRY[name] = getattr(import_module(module), attribute)
+    return entry
 
 
 def register_centroider(new: type[Centroider]) -> type[Centroider]:
-    """Register your own centroider by name in this process; usable as a decorator.
+    """Register a centroider by name in this process; usable as a decorator.
 
     Parameters
     ----------
@@ -114,21 +113,21 @@ def get_centroider(name: str, **options: Any) -> Centroider:
     DomainError
         On an option out of range.
     """
-    chosen = centroider_class(name)
-    known = _options(chosen)
+    centroider = centroider_class(name)
+    names = _options(centroider)
     for key in options:
-        if key not in known:
-            raise unknown_name(f"option of centroider {name!r}:", key, known)
-    if chosen.needs_epsf and "epsf" not in options:
+        if key not in names:
+            raise unknown_name(f"option of centroider {name!r}:", key, names)
+    if centroider.needs_epsf and "epsf" not in options:
         raise ConfigError(
             f"centroider {name!r} needs epsf=: an EffectivePsf, from render.tracing.psf.render_epsf or "
             "calib.measure.epsf.build.build_epsf"
         )
     try:
-        return chosen(**options)
+        return centroider(**options)
     except TypeError as error:
-        raise ConfigError(f"centroider {name!r}: {error}; options are {', '.join(known)}") from None
+        raise ConfigError(f"centroider {name!r}: {error}; options are {', '.join(names)}") from None
 
 
 def _options(centroider: type[Centroider]) -> list[str]:
-    return [one.name for one in fields(centroider)]  # type: ignore[arg-type]  # registered ones are dataclasses
+    return [option.name for option in fields(centroider)]  # type: ignore[arg-type]  # registered ones are dataclasses

@@ -40,12 +40,7 @@ def image_from_frame(frame: Frame) -> SensorImage:
         dn=frame.dn.astype(np.float64),
         valid=~frame.defect,
         saturated=frame.saturated,
-        noise=NoiseModel(
-            read_noise_e=frame.read_noise_e,
-            gain_dn_per_e=frame.gain_dn_per_e,
-            offset_dn=frame.offset_dn,
-            quantised=True,
-        ),
+        noise=NoiseModel.of(frame),
         exposure_s=frame.exposure_s,
         source=f"frame {frame.index}, band {frame.band}",
     )

@@ -43,7 +43,7 @@ def test_noise_and_patterns_of_drawn_windows(name):
     for k, value in enumerate(flux):
         light = value * unit.light
         count = len(light)
-        stamps = noiseless_stamps(light, start_px=unit.place_px, psf_index=np.zeros(count, np.int64))
+        stamps = noiseless_stamps(light, start_px=unit.position_px, psf_index=np.zeros(count, np.int64))
         many = stamps.select(np.tile(np.arange(count), draws))
         noisy = {
             "noise_px": rng.poisson(many.electrons) + 12.0 * rng.standard_normal(many.electrons.shape),
