@@ -22,14 +22,14 @@ IDENTIFIED, FIT, UNFIT = "#59d98e", "#4aa3df", "#ff5d8f"
 
 
 def show_image(image: SensorImage | Frame | NDArray[np.float64], axes: Axes | None = None) -> Axes:
-    """Draw an image of any origin with a stretch that shows faint and bright stars.
+    """Draw an image with a stretch for faint and bright stars.
 
     Parameters
     ----------
     image : SensorImage, Frame or (h, w) array
         The image.
     axes : matplotlib.axes.Axes, optional
-        Where; in a new figure if left out. ``axes.figure.savefig("stars.png")`` keeps it.
+        Axes to draw in, of a new figure by default. ``axes.figure.savefig("stars.png")`` writes it.
 
     Returns
     -------
@@ -48,7 +48,7 @@ def mark_stars(axes: Axes, stars: StarTable, identified: Identification | StarAt
     axes : matplotlib.axes.Axes
         Of `show_image` or ``Observation.show``.
     stars : StarTable
-        Circles; crosses where a flag speaks against the star.
+        Circles; crosses for stars with a flag of `UNFIT`.
     identified : Identification or StarAttitude, optional
         Green circles around identified stars, or the stars of the attitude.
 
@@ -57,17 +57,14 @@ def mark_stars(axes: Axes, stars: StarTable, identified: Identification | StarAt
     matplotlib.axes.Axes
         The same.
     """
-    mine = np.zeros(len(stars), bool)
-    if identified is not None:
-        mine[identified.detected] = True
-    groups: tuple[tuple[Any, dict[str, Any]], ...] = (
-        (mine, {"label": "identified", "edgecolors": IDENTIFIED, "facecolors": "none", "s": 34}),
-        (~mine & stars.fit, {"label": "star", "edgecolors": FIT, "facecolors": "none", "s": 26}),
-        (~mine & ~stars.fit, {"label": "flagged", "color": UNFIT, "marker": "x", "s": 14}),
-    )
-    for rows, style in groups:
+    styles: dict[str, dict[str, Any]] = {
+        "identified": {"edgecolors": IDENTIFIED, "facecolors": "none", "s": 34},
+        "star": {"edgecolors": FIT, "facecolors": "none", "s": 26},
+        "flagged": {"color": UNFIT, "marker": "x", "s": 14},
+    }
+    for (name, style), rows in zip(styles.items(), _groups(stars, identified), strict=True):
         if rows.any():
-            label = f"{np.count_nonzero(rows)} {style.pop('label')}"
+            label = f"{np.count_nonzero(rows)} {name}"
             axes.scatter(*stars.pixel_px[rows].T, linewidths=0.8, label=label, **style)
     if len(stars):
         axes.legend(loc="upper left", fontsize=7, labelcolor="white", facecolor="black", framealpha=0.6)
@@ -82,68 +79,66 @@ def star_marks(stars: StarTable, identified: Identification | StarAttitude | Non
     stars : StarTable
         Shown in three layers: identified, usable, flagged.
     identified : Identification or StarAttitude, optional
-        What they were identified as; with residuals, if it has them, as arrows from the catalogue's place.
+        Their catalogue stars; residuals, if any, as arrows from the catalogue's position.
 
     Returns
     -------
     list of Marks
-        For ``Observation.save_page`` or `optics.frame_html.frame_page`; only layers that hold something.
+        For ``Observation.save_page`` or `optics.frame_html.frame_page`; without empty layers.
     """
     names = np.full(len(stars), "", object)
     if identified is not None:
-        of_catalogue = getattr(identified, "catalogue_id", getattr(identified, "catalogue", None))
-        names[identified.detected] = [str(one) for one in np.asarray(of_catalogue)]
-    mine = names != ""
+        catalogue = getattr(identified, "catalogue_id", getattr(identified, "catalogue", None))
+        names[identified.detected] = [str(star) for star in np.asarray(catalogue)]
+    styles = (("identified", "square", IDENTIFIED), ("measured stars", "square", FIT), ("flagged", "cross", UNFIT))
     layers = [
-        _star_layer(stars, mine, names, name="identified", shape="square", colour=IDENTIFIED),
-        _star_layer(stars, ~mine & stars.fit, names, name="measured stars", shape="square", colour=FIT),
-        _star_layer(stars, ~mine & ~stars.fit, names, name="flagged", shape="cross", colour=UNFIT),
+        _star_layer(stars, rows, names, name=name, shape=shape, colour=colour)
+        for rows, (name, shape, colour) in zip(_groups(stars, identified), styles, strict=True)
     ]
-    residual = None if identified is None else identified.residual_px
-    if identified is not None and residual is not None:
-        place = stars.pixel_px[identified.detected] - residual
-        layers.append(
-            Marks(
-                name="residuals of the attitude",
-                shape="arrow",
-                colour="#e0aaff",
-                x_px=place[:, 0],
-                y_px=place[:, 1],
-                dx_px=residual[:, 0],
-                dy_px=residual[:, 1],
-            )
-        )
+    if identified is not None and identified.residual_px is not None:
+        dx, dy = identified.residual_px.T
+        x, y = (stars.pixel_px[identified.detected] - identified.residual_px).T
+        style: Any = {"name": "residuals of the attitude", "shape": "arrow", "colour": "#e0aaff"}
+        layers.append(Marks(x_px=x, y_px=y, dx_px=dx, dy_px=dy, **style))
     return [layer for layer in layers if len(layer.x_px)]
 
 
+def _groups(stars: StarTable, identified: Identification | StarAttitude | None) -> list[NDArray[np.bool_]]:
+    """Masks (n,) of identified, usable and flagged stars."""
+    mask = np.zeros(len(stars), bool)
+    if identified is not None:
+        mask[identified.detected] = True
+    return [mask, ~mask & stars.fit, ~mask & ~stars.fit]
+
+
 def _star_layer(stars: StarTable, rows: NDArray[np.bool_], names: NDArray[Any], **style: Any) -> Marks:
-    chosen = np.flatnonzero(rows)
-    chosen = chosen[np.argsort(-stars.flux_e[chosen], kind="stable")]
-    some = stars.select(chosen)
+    index = np.flatnonzero(rows)
+    index = index[np.argsort(-stars.flux_e[index], kind="stable")]
+    group = stars.select(index)
     columns: dict[str, Any] = {
-        "catalogue": names[chosen],
-        "flux [e-]": some.flux_e,
-        "sigma [px]": some.position_sigma_px,
-        "background [e-]": some.background_e,
-        "flags": [describe_flags(int(value)) for value in some.flags],
+        "catalogue": names[index],
+        "flux [e-]": group.flux_e,
+        "sigma [px]": group.position_sigma_px,
+        "background [e-]": group.background_e,
+        "flags": [describe_flags(int(value)) for value in group.flags],
     }
     columns = {name: values for name, values in columns.items() if any(str(value) for value in values)}
-    return Marks(x_px=some.x_px, y_px=some.y_px, columns=columns, **style)
+    return Marks(x_px=group.x_px, y_px=group.y_px, columns=columns, **style)
 
 
 def draw_residuals(attitude: StarAttitude, stars: StarTable, axes: Axes | None = None, *, scale: float = 500.0) -> Axes:
-    """Residuals of an attitude's stars as arrows over the detector; they show errors of camera model or centroider.
+    """Residuals of an attitude's stars as arrows over the detector: errors of camera model or centroider.
 
     Parameters
     ----------
     attitude : StarAttitude
         Of `solve_attitude`.
     stars : StarTable
-        That it was made of.
+        Input of `solve_attitude`.
     axes : matplotlib.axes.Axes, optional
-        Where; in a new figure if left out.
+        Axes to draw in, of a new figure by default.
     scale : float
-        How much longer than the residuals the arrows are.
+        Length of the arrows over the residuals.
 
     Returns
     -------

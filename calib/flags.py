@@ -18,9 +18,9 @@ class StarFlag(IntFlag):
     BLEND
         Another detected star lies inside the window.
     DEFECT
-        A pixel of the window is known to be defective or holds no finite number (left out of the measurement).
+        A pixel of the window is defective or not finite (left out of the measurement).
     SPIKE
-        Sharper than any star: nearly all light sits in one pixel (hot pixel, cosmic ray).
+        Sharper than any star: nearly all light is in a single pixel (hot pixel, cosmic ray).
     NOT_CONVERGED
         The iteration ended without reaching its tolerance; the values are from the last step.
     NO_DATA

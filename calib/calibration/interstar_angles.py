@@ -35,13 +35,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.calibration.attitude_family import AttitudeFamily, FamilyFit, frames_with_stars
 from calib.calibration.free_attitudes import FreeAttitudes, frame_parity, start_attitudes
-from calib.calibration.interstar_pairs import (
-    PairProblem,
-    Pairs,
-    StarFrames,
-    WeightedPairProblem,
-    pair_covariance,
-)
+from calib.calibration.interstar_pairs import PairProblem, Pairs, StarFrames, WeightedPairProblem, pair_covariance
 from calib.calibration.observations import Observations
 from calib.calibration.stages import fit_stages, free_stages
 from calib.calibration.verdict import verdict

@@ -1,4 +1,4 @@
-"""Ends and step of the converter, from the readings of many pixels."""
+"""Range and step of the analogue-to-digital converter, from the readings of many pixels."""
 
 from __future__ import annotations
 
@@ -10,25 +10,24 @@ from numpy.typing import ArrayLike
 from scipy.stats import poisson
 
 TOP_READINGS = 5
-"""The highest reading, and those below it that tell how often it would come by chance."""
+"""The highest reading, and the readings below it from which its count by chance is estimated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConverterRange:
-    """What the readings tell of the converter."""
+    """Step and ends of a converter."""
 
     step_dn: int  # Largest number that divides all differences
     top_dn: int  # Highest reading
-    top_count: int  # How often it comes
-    top_limit: int  # How often a Poisson variate with the mean of the four readings below it would
+    top_count: int  # Number of highest readings
+    top_limit: int  # Quantile of a Poisson variate with the mean count of the four readings below it
     zero_fraction: float  # Fraction of readings of 0
 
 
 def converter_range(readings: Iterable[ArrayLike], *, false_alarm: float) -> ConverterRange:
     """Step, highest reading and fraction of zeros of groups of readings (any shape) [DN, whole numbers].
 
-    Readings at the highest value are more often than by chance, with the stated probability of a false alarm, where
-    pixels are saturated below the end of the type.
+    ``top_count`` above ``top_limit``, of the stated false alarm probability: saturation below the end of the type.
     """
     counted = [np.unique(np.asarray(group), return_counts=True) for group in readings]
     values = [codes.astype(np.int64) for codes, _ in counted]

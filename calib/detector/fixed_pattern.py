@@ -10,6 +10,7 @@ from scipy.ndimage import uniform_filter
 
 from calib.detector.mean_frame import MeanFrame
 from calib.detector.photon_transfer import PhotonTransfer, deviation
+from calib.measure.statistics.robust import robust_sigma
 from calib.records import NoiseModel
 from optics.arrays import FloatArray
 from optics.errors import DomainError
@@ -36,10 +37,10 @@ def fixed_pattern(
     usable: ArrayLike | None = None,
     smooth_px: int | None = None,
 ) -> FixedPattern:
-    """PRNU and DSNU (EMVA 1288 Release 4.0): spatial variance of mean frames less what temporal noise makes.
+    """PRNU and DSNU (EMVA 1288 Release 4.0): spatial variance of mean frames less that of temporal noise.
 
-    The PRNU is that of the flat minus the dark, so that the dark pattern and its own correlation with the response drop
-    out. The errors come from the scatter of the pixels, whatever the distribution of the pattern.
+    The PRNU is that of the flat minus the dark, without the dark pattern and its correlation with the response. The
+    errors follow from the scatter of the pixels, for any distribution of the pattern.
 
     Parameters
     ----------
@@ -48,10 +49,10 @@ def fixed_pattern(
     transfer : PhotonTransfer
         Gain, for the DSNU in electrons.
     usable : (h, w) bool, optional
-        Pixels that count; all of them if not given.
+        Pixels to use; all if not given.
     smooth_px : int, optional
-        Side (odd) of a running mean that is subtracted first, for light that is not even; pixels nearer to the edge
-        than half of it do not count. The mean of all pixels if not given.
+        Side (odd) of a running mean that is subtracted first, for uneven light; pixels nearer to the edge than half of
+        it are not used. The mean of all pixels if not given.
 
     Returns
     -------
@@ -86,20 +87,16 @@ def _deviation(
     """Standard deviation of a pattern, and its error, from an image and the variance of its noise."""
     if smooth_px is None:
         residual = image[chosen] - image[chosen].mean()
-        kept: FloatArray | float = 1.0 - 1.0 / max(int(chosen.sum()), 2)
+        variance: FloatArray | float = 1.0 - 1.0 / max(int(chosen.sum()), 2)
     else:
         fraction = uniform_filter(chosen.astype(float), smooth_px)
         mean = uniform_filter(np.where(chosen, image, 0.0), smooth_px) / np.maximum(fraction, 1e-9)
-        chosen = chosen & _inside(chosen.shape, smooth_px // 2)  # at the edges uneven light would not cancel
-        residual, kept = (image - mean)[chosen], 1.0 - 1.0 / (smooth_px**2 * fraction[chosen])
-    square = residual**2 / kept - noise[chosen]
+        margin = smooth_px // 2  # at the edges uneven light would not cancel
+        inner = np.pad(np.ones([n - 2 * margin for n in chosen.shape], bool), margin)
+        chosen = chosen & inner
+        residual, variance = (image - mean)[chosen], 1.0 - 1.0 / (smooth_px**2 * fraction[chosen])
+    square = residual**2 / variance - noise[chosen]
     return deviation(float(square.mean()), float(square.std(ddof=1) / np.sqrt(square.size)))
-
-
-def _inside(shape: tuple[int, ...], margin_px: int) -> NDArray[np.bool_]:
-    inside = np.zeros(shape, bool)
-    inside[margin_px : shape[0] - margin_px, margin_px : shape[1] - margin_px] = True
-    return inside
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,19 +104,18 @@ class FlatResponse:
     """Response of the pixels from a mean flat."""
 
     response: FloatArray  # (h, w) Mean over the usable pixels 1; 1 where a pixel is not usable
-    error: FloatArray  # (h, w) Standard deviation of it, by the noise of the frames behind it
-    unusable: NDArray[np.bool_]  # (h, w) Excluded, or with hardly any response
+    error: FloatArray  # (h, w) Standard deviation by the noise of the frames
+    unusable: NDArray[np.bool_]  # (h, w) Excluded, or below `LEAST_RESPONSE`
     level_e: float  # Median of the electrons above the darks
 
     @property
     def pixel_to_pixel(self) -> float:
-        """Standard deviation of the response from pixel to pixel, noise included.
+        """Standard deviation of the response from pixel to pixel, noise included and uneven light excluded.
 
-        Robust, from differences of neighbouring columns over the square root of two: uneven light does not count.
+        Robust, from differences of neighbouring columns over the square root of two.
         """
-        ok = ~(self.unusable[:, 1:] | self.unusable[:, :-1])
-        step = np.diff(self.response, axis=1)[ok]
-        return 1.4826 * float(np.median(np.abs(step - np.median(step)))) / float(np.sqrt(2.0))
+        unusable = self.unusable[:, 1:] | self.unusable[:, :-1]
+        return robust_sigma(np.diff(self.response, axis=1)[~unusable]) / float(np.sqrt(2.0))
 
     @property
     def noise(self) -> float:
@@ -130,18 +126,10 @@ class FlatResponse:
 def flat_response(
     electrons: FloatArray, usable: NDArray[np.bool_], *, floor_e2: float, flats: int, darks: int
 ) -> FlatResponse:
-    """Response of the pixels, with the error that photons and the noise of a pixel without light give.
+    """Response of the pixels of a mean flat less the mean dark or the offset (h, w), with its error by noise.
 
-    Parameters
-    ----------
-    electrons : (h, w)
-        Mean flat less the mean dark or the offset.
-    usable : (h, w) bool
-        Pixels that are neither defective nor saturated.
-    floor_e2 : float
-        Variance of a pixel without light, of one frame.
-    flats, darks : int
-        Frames behind the means; no darks if an offset without noise was subtracted.
+    ``floor_e2``: variance of a pixel without light in a frame; ``flats``, ``darks``: frames of the means, 0 darks for a
+    subtracted offset without noise.
     """
     level = float(np.median(electrons[usable])) if usable.any() else 0.0
     usable = usable & (electrons > LEAST_RESPONSE * level)
@@ -166,24 +154,11 @@ def reduced_variance(
     response_error: FloatArray | None = None,
     prnu: float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
-    """Variance of a pixel of reduced frames, from frame to frame and of what is the same in all of them [e-^2].
+    """Variance of a pixel of reduced frames [e-^2]: temporal, and fixed in all of them.
 
-    Reduced: less the mean dark frame or the offset, over the response.
-
-    Parameters
-    ----------
-    mean_e : (...)
-        Mean reduced frame.
-    light_e : (...)
-        The same without background.
-    noise : NoiseModel
-        Noise of a pixel without light and dark charge.
-    dark_e, dark_frames : (...), int
-        Mean dark frame that was subtracted, less the offset (its charge still makes noise), and the frames behind it.
-    response, response_error : (...)
-        Response that was divided by, and its error.
-    prnu : float
-        Standard deviation of the response that remains.
+    ``mean_e`` is the mean of frames less the mean dark frame or the offset, over the response; ``light_e`` the same
+    without background; ``dark_e`` the subtracted mean of ``dark_frames`` less the offset, whose charge adds noise;
+    ``prnu`` the residual standard deviation of the response.
     """
     divisor: FloatArray | float = 1.0 if response is None else response
     floor = noise.floor_e2 + (np.zeros(mean_e.shape) if dark_e is None else dark_e)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.records import freeze
+from optics.records import freeze, freeze_all
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,9 +24,8 @@ class MeanFrame:
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
-        freeze(self, "mean_dn", shape=("h", "w"), sizes=sizes)
+        freeze_all(self, mean_dn=("h", "w"), level_dn=("n",), sizes=sizes)
         freeze(self, "variance_dn2", shape=("h", "w"), finite=self.frames > 1, sizes=sizes)
-        freeze(self, "level_dn", shape=("n",), sizes={})
 
     @property
     def error_dn(self) -> FloatArray:
@@ -35,9 +34,9 @@ class MeanFrame:
 
 
 def mean_frame(frames: Iterable[ArrayLike]) -> MeanFrame:
-    """Mean and variance of frames that are given one at a time, so that they need not fit into memory together.
+    """Mean and variance of frames, in a single pass that holds one frame at a time.
 
-    Sums are of differences from the first frame: exact for whole numbers, and squares keep their digits.
+    Sums are of differences from the first frame: exact for whole numbers, without cancellation in the squares.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 """Photon transfer of flats: system gain and read noise from the growth of the temporal variance with the mean.
 
 EMVA 1288 Release 4.0, sec. 6.6 (Janesick 2007): var = var of the darks + K (mean - mean of the darks), K in DN/e-. The
-lamp's flicker, whose relative variance the levels of the frames show, is subtracted. The standard errors come from the
-scatter of the pixels about the line, as of a ratio of means (Cochran 1977, sec. 2.11); they hold the noise of the
-darks, read noise that differs from pixel to pixel, and any distribution of the noise.
+flicker of the lamp, whose relative variance follows from the levels of the frames, is subtracted. The standard errors
+follow from the scatter of the pixels about the line, as of a ratio of means (Cochran 1977, sec. 2.11); they include the
+noise of the darks, read noise that differs from pixel to pixel, and any distribution of the noise.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class PhotonTransfer:
     gain_error_dn_per_e: float
     read_noise_e: float  # RMS over the pixels, rounding excluded; NaN with a gain that is not positive
     read_noise_error_e: float
-    pixels: int  # Behind them
+    pixels: int  # Number of pixels used
 
 
 def flat_photon_transfer(
@@ -53,11 +53,11 @@ def flat_photon_transfer(
     flats : sequence of MeanFrame
         Flats of two or more frames, a record per level; below saturation.
     dark : MeanFrame
-        Darks; with a single frame its variance has to be given.
+        Darks; two frames, unless their variance is given.
     usable : (h, w) bool, optional
-        Pixels that count; all of them if not given.
+        Pixels to use; all if not given.
     dark_variance_dn2 : float, optional
-        Temporal variance of the darks where it is known by other means; taken as free of error.
+        Temporal variance of the darks from another source, without error.
 
     Returns
     -------
@@ -100,16 +100,16 @@ def flat_photon_transfer(
 
 
 def _without_flicker(flat: MeanFrame, light_dn: FloatArray) -> FloatArray:
-    """Temporal variance (h, w) [DN^2] without that of the lamp, which the levels of the frames show."""
+    """Temporal variance (h, w) [DN^2] without that of the lamp, from the levels of the frames."""
     mean_noise = flat.variance_dn2.mean() / flat.variance_dn2.size
     flicker = (flat.level_dn.var(ddof=1) - mean_noise) / light_dn.mean() ** 2
     return np.asarray(flat.variance_dn2 - flicker * light_dn**2)
 
 
 def block_gain(flat: MeanFrame, dark: MeanFrame, *, block_px: int) -> tuple[FloatArray, FloatArray]:
-    """System gain in square blocks of pixels, and its standard error: maps (h, w) [DN/e-].
+    """System gain in square blocks of pixels, and its standard error: maps (h, w) [DN/e-], constant within a block.
 
-    The pixels of a block have one value; the error of a block of a single pixel is NaN.
+    The error of a block of a single pixel is NaN.
     """
     shape = flat.mean_dn.shape
     edges = [np.arange(0, size, block_px) for size in shape]
@@ -123,7 +123,7 @@ def block_gain(flat: MeanFrame, dark: MeanFrame, *, block_px: int) -> tuple[Floa
 
     light = flat.mean_dn - dark.mean_dn
     growth = _without_flicker(flat, light) - dark.variance_dn2
-    whole_light, pixels = np.maximum(total(light), 1e-9), total(np.ones(shape))
-    gain = spread(total(growth) / whole_light)
+    block_light, pixels = np.maximum(total(light), 1e-9), total(np.ones(shape))
+    gain = spread(total(growth) / block_light)
     scatter = total((growth - gain * light) ** 2) * pixels / np.where(pixels > 1, pixels - 1, np.nan)
-    return gain, spread(np.sqrt(scatter) / whole_light)
+    return gain, spread(np.sqrt(scatter) / block_light)

@@ -1,8 +1,8 @@
 """Gain, noise and fixed pattern from photon transfer on the sky, without lamp and dark frames.
 
-Blocks of 32 px have a level and a variance after a quadratic surface is subtracted, stars are masked and outliers are
-clipped (the variance is corrected for the truncation). The pattern common to all frames is separated by the covariance
-of two frames' residuals, pixel by pixel: DSNU^2 + PRNU^2 m_i m_j. The rest follows EMVA 1288,
+Level and variance of blocks of 32 px are taken without a quadratic surface, stars and outliers (the variance is
+corrected for the truncation). The pattern common to all frames is separated by the covariance of two frames' residuals,
+pixel by pixel: DSNU^2 + PRNU^2 m_i m_j. The temporal variance follows EMVA 1288,
 
     var = read noise^2 + 1/12 + (mean - black level) / gain         [DN^2; gain in e-/DN].
 
@@ -19,26 +19,27 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2, norm
 
 from calib.detector.photon_transfer import QUANTISATION_DN2, deviation
+from calib.measure.statistics.robust import robust_rms, robust_sigma
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
 BLOCK_PX = 32
 CLIP_SIGMA = 3.5
 CLIP_ROUNDS = 4
-KEPT_VARIANCE = float(1.0 - 2.0 * CLIP_SIGMA * norm.pdf(CLIP_SIGMA) / (2.0 * norm.cdf(CLIP_SIGMA) - 1.0))
-"""Variance of a normal distribution truncated at `CLIP_SIGMA`, over that of the whole."""
-KEPT_COVARIANCE = KEPT_VARIANCE**2 * (1.0 - 6.0 / BLOCK_PX**2)
-"""Covariance of two such residuals over that of the pattern behind them: truncated twice, a surface of 6 terms less."""
-FEWEST_OF_A_BLOCK = 0.4
-"""Fraction of the pixels of a block that must remain for it to count."""
+TRUNCATED_VARIANCE = float(1.0 - 2.0 * CLIP_SIGMA * norm.pdf(CLIP_SIGMA) / (2.0 * norm.cdf(CLIP_SIGMA) - 1.0))
+"""Variance of a normal distribution truncated at `CLIP_SIGMA`, over that of the full one."""
+TRUNCATED_COVARIANCE = TRUNCATED_VARIANCE**2 * (1.0 - 6.0 / BLOCK_PX**2)
+"""Covariance of two such residuals over that of the pattern: truncated twice, less a surface of 6 terms."""
+LEAST_FRACTION = 0.4
+"""Smallest fraction of usable pixels of a block."""
 FEWEST_FRAMES, FRAME_ALARM = 6, 0.01
-"""Frames from which what their blocks have in common is looked for, and the chance that it is found where it is not."""
+"""Frames from which an error common to the blocks of a frame is tested, and its false alarm probability."""
 DETERMINED_SIGMA = 4.0
 """Slope over its error from which the gain is determined."""
-SURE_SIGMA = 3.0
-"""Third moment over its error from which it counts."""
-WARM_PART = 0.95
-"""Of the pattern that is dark current where its skewness shows."""
+SIGNIFICANT_SIGMA = 3.0
+"""Third moment over its error from which it is used."""
+WARM_FRACTION = 0.95
+"""Fraction of a skewed pattern that is dark current."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,19 +53,12 @@ class SkyBlocks:
 
     @property
     def columns(self) -> int:
-        """Blocks in a row of them."""
+        """Number of columns of blocks."""
         return self.residual_dn.shape[1] // BLOCK_PX
 
 
 def sky_blocks(dn: ArrayLike, masked: ArrayLike) -> SkyBlocks:
-    """Residuals of a frame about a quadratic surface in every block of 32 px.
-
-    Parameters
-    ----------
-    dn : (h, w)
-        The frame [DN].
-    masked : (h, w) bool
-        Pixels to leave out: stars, defects.
+    """Residuals of a frame (h, w) about a quadratic surface in every block of 32 px, without masked stars and defects.
 
     Raises
     ------
@@ -93,18 +87,17 @@ def sky_blocks(dn: ArrayLike, masked: ArrayLike) -> SkyBlocks:
         normal = np.einsum("bp,pi,pj->bij", weight, design, design, optimize=True) + 1e-9 * np.eye(6)
         right = (weight * values) @ design
         residual = values - np.linalg.solve(normal, right[:, :, None])[:, :, 0] @ design.T
-        variance = (weight * residual**2).sum(axis=1) / np.maximum(good.sum(axis=1) - 6, 1) / KEPT_VARIANCE
+        variance = (weight * residual**2).sum(axis=1) / np.maximum(good.sum(axis=1) - 6, 1) / TRUNCATED_VARIANCE
         good &= np.abs(residual) < CLIP_SIGMA * np.sqrt(variance)[:, None]
     count = good.sum(axis=1)
-    enough = count > FEWEST_OF_A_BLOCK * BLOCK_PX**2
-    variance = np.where(good, residual**2, 0.0).sum(axis=1) / np.maximum(count - 6, 1) / KEPT_VARIANCE
+    enough = count > LEAST_FRACTION * BLOCK_PX**2
+    variance = np.where(good, residual**2, 0.0).sum(axis=1) / np.maximum(count - 6, 1) / TRUNCATED_VARIANCE
     level = np.where(good, values, 0.0).sum(axis=1) / np.maximum(count, 1)
     image = np.full(dn.shape, np.nan)
     tiles = np.where(good & enough[:, None], residual, np.nan).reshape(rows, columns, BLOCK_PX, BLOCK_PX)
     image[inside] = tiles.transpose(0, 2, 1, 3).reshape(rows * BLOCK_PX, columns * BLOCK_PX)
-    return SkyBlocks(
-        residual_dn=image, level_dn=level, variance_dn2=np.where(enough, variance, np.nan), count=count.astype(np.int64)
-    )
+    variance = np.where(enough, variance, np.nan)
+    return SkyBlocks(residual_dn=image, level_dn=level, variance_dn2=variance, count=count.astype(np.int64))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,10 +113,10 @@ class SkyNoise:
     dsnu_error_dn: float
     prnu: float  # Of the response 1
     prnu_error: float
-    third_moment_dn3: float  # Of the pattern: warm pixels that no mask marks; 0 if it is not significant
+    third_moment_dn3: float  # Of the pattern, by unmasked warm pixels; 0 if it is not significant
     third_moment_error_dn3: float
     read_noise_e: tuple[float, float]  # For the lowest and the highest black level
-    black_level_dn: tuple[float, float]  # That the frames allow
+    black_level_dn: tuple[float, float]  # Lowest and highest possible value
     levels_dn: FloatArray  # (k,) Photon transfer curve in bins of the mean
     variances_dn2: FloatArray  # (k,) Temporal variance there
     correlation: FloatArray  # (3,) Of neighbours along x, y and the diagonal
@@ -146,9 +139,9 @@ def sky_photon_transfer(
     frames : sequence of SkyBlocks
         Frames of one camera and exposure, with different backgrounds.
     lowest_dn : float
-        Lowest background of the frames: the black level, if it is not known, is not above it.
+        Lowest background of the frames: upper limit of an unknown black level.
     black_level_dn : float, optional
-        Black level, where it is known.
+        Black level, if it is known.
 
     Raises
     ------
@@ -172,9 +165,9 @@ def sky_photon_transfer(
     temporal = variance - dsnu2 - prnu2 * level**2
     (slope, intercept), influence = _line(level, temporal, weight)
     change = influence * (temporal - slope * level - intercept)
-    # the pattern is subtracted: what its errors change, block by block of the detector
-    steep = influence @ np.stack([np.ones_like(level), level**2], axis=1)
-    slope_error, intercept_error = _errors(change, block, frame, -pattern_change @ steep.T)
+    # error of the subtracted pattern, block by block of the detector
+    by_pattern = influence @ np.stack([np.ones_like(level), level**2], axis=1)
+    slope_error, intercept_error = _errors(change, block, frame, -pattern_change @ by_pattern.T)
     if not slope > DETERMINED_SIGMA * slope_error:
         raise DomainError(
             f"photon transfer: variance rises by {slope:.3g} +/- {slope_error:.2g} DN^2 per DN over backgrounds from "
@@ -211,20 +204,20 @@ def sky_photon_transfer(
 
 
 def _line(x: FloatArray, y: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Slope and intercept of variances, whose errors are in proportion to them, and their change (2, n) with each."""
+    """Slope and intercept of variances, with errors in proportion to them, and their influence functions (2, n)."""
     coefficients = np.array([0.0, float(np.median(y))])
     design = np.stack([x, np.ones_like(x)], axis=1)
-    w = weight
+
+    def influence(w: FloatArray) -> FloatArray:
+        return np.asarray(np.linalg.solve(design.T @ (w[:, None] * design), design.T * w))
+
     for _ in range(4):
         expected = np.maximum(design @ coefficients, 1e-3 * float(np.median(y)) + 1e-9)
         w = weight / (2.0 * expected**2)
-        coefficients = np.linalg.solve(design.T @ (w[:, None] * design), design.T @ (w * y))
-        normalised = (y - design @ coefficients) * np.sqrt(w)
-        spread = 1.4826 * np.median(np.abs(normalised))
-        w = np.where(np.abs(normalised) < 4.0 * spread, w, 0.0)
-        coefficients = np.linalg.solve(design.T @ (w[:, None] * design), design.T @ (w * y))
-    influence = np.linalg.solve(design.T @ (w[:, None] * design), design.T * w)
-    return np.asarray(coefficients, float), np.asarray(influence, float)
+        residual = (y - design @ (influence(w) @ y)) * np.sqrt(w)
+        w = np.where(np.abs(residual) < 4.0 * robust_rms(residual), w, 0.0)
+        coefficients = influence(w) @ y
+    return coefficients, influence(w)
 
 
 def _errors(
@@ -232,8 +225,8 @@ def _errors(
 ) -> FloatArray:
     """Errors (2,) of slope and intercept from their changes (2, n) by each block of each frame.
 
-    Blocks of the detector are independent of each other, with the pattern that is subtracted from all their frames;
-    what the blocks of a frame have in common is added where there are enough frames and it is more than chance.
+    Blocks of the detector, with the pattern subtracted in all frames, are independent of each other; an error common to
+    the blocks of a frame is added if it is significant.
     """
     by_block = np.array([np.bincount(block, row, minlength=len(pattern_change)) for row in change]).T + pattern_change
     square = _sum_of_squares(by_block)
@@ -247,40 +240,37 @@ def _errors(
 
 
 def _sum_of_squares(change: FloatArray) -> FloatArray:
-    """Variance (2,) of two numbers from their changes (b, 2) by independent blocks, two degrees of freedom taken."""
+    """Variance (2,) of two parameters from their changes (b, 2) by independent blocks, less two degrees of freedom."""
     count = max(int(np.count_nonzero(change.any(axis=1))), 3)
     return np.asarray((change**2).sum(axis=0) * count / (count - 2))
 
 
 def _pattern(frames: Sequence[SkyBlocks]) -> tuple[FloatArray, FloatArray]:
     """DSNU^2 [DN^2] and PRNU^2 (2,) from the covariance of residuals of different frames, and their changes (b, 2) with
-    each block."""
+    each block, whose pattern is the same in every pair of frames."""
+    blocks = len(frames[0].level_dn)
     if len(frames) < 2:
-        return np.zeros(2), np.zeros((len(frames[0].level_dn), 2))
-    product, levels, numbers = [], [], []
-    for i in range(len(frames)):
-        for j in range(i):
-            common = _block_means(frames[i].residual_dn * frames[j].residual_dn) / KEPT_COVARIANCE
-            product.append(common)
-            levels.append(frames[i].level_dn * frames[j].level_dn)
-            numbers.append(np.arange(len(common)))  # a block of the detector has the same pattern in every pair
-    y, x, block = np.concatenate(product), np.concatenate(levels), np.concatenate(numbers)
-    known = np.isfinite(y)
-    if np.count_nonzero(known) < 2:
+        return np.zeros(2), np.zeros((blocks, 2))
+    pairs = [(frames[i], frames[j]) for i in range(len(frames)) for j in range(i)]
+    y = np.concatenate([_block_means(a.residual_dn * b.residual_dn) / TRUNCATED_COVARIANCE for a, b in pairs])
+    x = np.concatenate([a.level_dn * b.level_dn for a, b in pairs])
+    block = np.tile(np.arange(blocks), len(pairs))
+    finite = np.isfinite(y)
+    if np.count_nonzero(finite) < 2:
         raise DomainError("fewer than two blocks are free of stars in two frames; gain and noise cannot be measured")
-    y, x, block = y[known], x[known], block[known]
+    y, x, block = y[finite], x[finite], block[finite]
     design = np.stack([np.ones_like(x), x], axis=1)
     w = 1.0 / np.maximum(x, 1.0)  # products of two frames scatter as the product of their noise
     influence = np.linalg.solve(design.T @ (w[:, None] * design), design.T * w)
     squares = influence @ y
-    if squares[0] < 0.0 or squares[1] < 0.0:  # a single one of them then
+    if squares[0] < 0.0 or squares[1] < 0.0:  # a single term then
         single = 1 if squares[0] < squares[1] or squares[0] < 0.0 else 0
         row = design[:, single] * w
         influence = np.zeros_like(influence)
         influence[single] = row / (row @ design[:, single])
         squares = np.maximum(influence @ y, 0.0)
     change = influence * (y - design @ squares)
-    return squares, np.array([np.bincount(block, row, minlength=len(numbers[0])) for row in change]).T
+    return squares, np.array([np.bincount(block, row, minlength=blocks) for row in change]).T
 
 
 def pattern_third_moment(frames: Sequence[SkyBlocks]) -> tuple[float, float]:
@@ -290,30 +280,25 @@ def pattern_third_moment(frames: Sequence[SkyBlocks]) -> tuple[float, float]:
     """
     if len(frames) < 3:
         return 0.0, 0.0
-    shape = frames[0].residual_dn.shape
-    power, count = [np.zeros(shape) for _ in range(3)], np.zeros(shape)
-    for blocks in frames:
-        residual = np.nan_to_num(blocks.residual_dn)
-        count += np.isfinite(blocks.residual_dn)
-        for k in range(3):
-            power[k] += residual ** (k + 1)
-    triples = count * (count - 1) * (count - 2)  # each of them six times, in either sum
+    count = sum(np.isfinite(blocks.residual_dn).astype(float) for blocks in frames)
+    power = [sum(np.nan_to_num(blocks.residual_dn) ** k for blocks in frames) for k in (1, 2, 3)]
+    triples = count * (count - 1) * (count - 2)  # each six times, as in the sum of products
     product = power[0] ** 3 - 3.0 * power[0] * power[1] + 2.0 * power[2]
     mean = _block_means(np.where(triples > 0, product / np.maximum(triples, 1.0), np.nan))
     mean = mean[np.isfinite(mean)]
     if len(mean) < 4:
         return 0.0, 0.0
     value, error = float(mean.mean()), float(mean.std(ddof=1) / np.sqrt(len(mean)))
-    return value if value > SURE_SIGMA * error else 0.0, error
+    return value if value > SIGNIFICANT_SIGMA * error else 0.0, error
 
 
 def _block_means(values: FloatArray, side: int = BLOCK_PX) -> FloatArray:
     """Means of blocks (b,) of an image, NaN left out; NaN where more than half is missing."""
     rows, columns = values.shape[0] // side, values.shape[1] // side
     tiles = values[: rows * side, : columns * side].reshape(rows, side, columns, side)
-    known = np.isfinite(tiles)
-    count = known.sum(axis=(1, 3))
-    mean = np.where(known, tiles, 0.0).sum(axis=(1, 3)) / np.maximum(count, 1)
+    finite = np.isfinite(tiles)
+    count = finite.sum(axis=(1, 3))
+    mean = np.where(finite, tiles, 0.0).sum(axis=(1, 3)) / np.maximum(count, 1)
     return np.asarray(np.where(count > side * side / 2, mean, np.nan).ravel())
 
 
@@ -346,12 +331,12 @@ def _mean_noise(blocks: SkyBlocks, side: int) -> float | None:
     good = np.isfinite(mean) & (count > 0.5 * side * side)
     if good.sum() <= 10:
         return None
-    # a quadratic surface takes 6 of the degrees of freedom of a block, all of them slow ones
-    slow = 6.0 * side * side / BLOCK_PX**2
-    expected = np.nanmean(residual**2) * (1.0 - slow) * np.mean(1.0 / count[good])
-    centre, spread = np.median(mean[good]), 1.4826 * np.median(np.abs(mean[good] - np.median(mean[good])))
-    inside = np.abs(mean[good] - centre) < CLIP_SIGMA * spread
-    return float(np.sqrt(np.mean((mean[good][inside] - centre) ** 2) / KEPT_VARIANCE / expected))
+    # a quadratic surface takes 6 degrees of freedom of a block, all at low frequencies
+    low_frequency = 6.0 * side * side / BLOCK_PX**2
+    expected = np.nanmean(residual**2) * (1.0 - low_frequency) * np.mean(1.0 / count[good])
+    deviation_dn = mean[good] - np.median(mean[good])
+    deviation_dn = deviation_dn[np.abs(deviation_dn) < CLIP_SIGMA * robust_rms(deviation_dn)]
+    return float(np.sqrt(np.mean(deviation_dn**2) / TRUNCATED_VARIANCE / expected))
 
 
 def _block_noise(blocks: SkyBlocks) -> float:
@@ -359,23 +344,22 @@ def _block_noise(blocks: SkyBlocks) -> float:
     level = blocks.level_dn.reshape(-1, blocks.columns)
     second = level[:, 2:] - 2.0 * level[:, 1:-1] + level[:, :-2]
     white = np.sqrt(6.0 * np.nanmedian(blocks.variance_dn2) / np.median(blocks.count))
-    return float(1.4826 * np.nanmedian(np.abs(second - np.nanmedian(second))) / white)
+    return robust_sigma(second) / float(white)
 
 
-def tail_fraction(frames: Sequence[SkyBlocks], sigma: float = 3.0) -> float:
-    """Fraction of the unclipped pixels beyond a number of standard deviations, mean over the frames."""
+def tail_fraction(frames: Sequence[SkyBlocks]) -> float:
+    """Fraction of the unclipped pixels beyond three standard deviations, mean over the frames."""
     residuals = [blocks.residual_dn[np.isfinite(blocks.residual_dn)] for blocks in frames]
-    return float(np.mean([(np.abs(values) > sigma * values.std()).mean() for values in residuals]))
+    return float(np.mean([(np.abs(values) > 3.0 * values.std()).mean() for values in residuals]))
 
 
 def lognormal_dark(noise: SkyNoise) -> tuple[float, float, float]:
     """DSNU [DN] as a normal distribution, and mean and spread [DN] of a dark current whose skewness was measured.
 
     The current is lognormal, the lightest tail with the second and third moment of the pattern: skewness is c^3 + 3 c
-    of spread over mean c. Both are 0 without skewness, and where the mean would be above the darkest sky, of which it
-    is a part.
+    of spread over mean c. Both are 0 without skewness, and where the mean would exceed the darkest sky.
     """
-    spread = WARM_PART * noise.dsnu_dn
+    spread = WARM_FRACTION * noise.dsnu_dn
     if noise.third_moment_dn3 > 0.0:
         skewness = noise.third_moment_dn3 / spread**3
         mean = spread / float(2.0 * np.sinh(np.arcsinh(skewness / 2.0) / 3.0))

@@ -1,9 +1,9 @@
 """Photon transfer of windows around images at rest, and noise that two frames have in common; no flats, no darks.
 
 The temporal variance of a pixel grows with its mean by the gain K (Janesick 2007). A moving image and a flickering lamp
-add variance too: their contributions (the mean image, and itself shifted by whole pixels, of which a shift by parts of
-one consists) are projected out of every frame, and the variance that the projection takes from every pixel is accounted
-for: with M the projection, the residual of pixel i has the variance sum_k M_ik^2 v_k, v_k = floor + K mean_k.
+add variance: their modes (the mean image, and the same shifted by whole pixels, which combine to sub-pixel shifts) are
+projected out of every frame, and the variance is corrected for the projection M: the residual of pixel i has the
+variance sum_k M_ik^2 v_k, v_k = floor + K mean_k.
 """
 
 from __future__ import annotations
@@ -17,13 +17,14 @@ from scipy.ndimage import convolve, shift
 from scipy.stats import norm
 
 from calib.detector.photon_transfer import QUANTISATION_DN2, PhotonTransfer, deviation
+from calib.measure.statistics.robust import robust_sigma
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
 FEWEST_PIXELS = 30
-"""Pixels from which photon transfer of windows is tried."""
+"""Fewest pixels for photon transfer of windows."""
 FEWEST_FRAMES = 4
-"""Frames from which common noise of two of them is looked for."""
+"""Fewest frames for a test of common noise of two of them."""
 ITERATIONS = 8
 SHIFTS = (-2, -1, 1, 2)
 NEIGHBOURS = np.array([[1.0, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.0]])
@@ -38,7 +39,7 @@ class _Window:
     residual: FloatArray  # (n, p) [DN]
     mixing: FloatArray  # (p, p) Variance of a residual from the variances of the pixels
     design: FloatArray  # (p, 2) Multiplies (floor, K) in the variance of a residual
-    instrument: FloatArray  # (p, 2) The same with the mean of a pixel's neighbours in place of its own
+    instrument: FloatArray  # (p, 2) The same with the mean of the neighbours of a pixel in place of its mean
 
     @property
     def squares(self) -> FloatArray:
@@ -65,12 +66,12 @@ def _window(dn: FloatArray, usable: NDArray[np.bool_]) -> _Window:
     residual, projection = _without_modes(dn, usable)
     mixing = projection**2
     total = convolve(np.where(usable, mean, 0.0), NEIGHBOURS)
-    around = total / np.maximum(convolve(usable.astype(float), NEIGHBOURS), 1.0)
+    neighbours = total / np.maximum(convolve(usable.astype(float), NEIGHBOURS), 1.0)
     return _Window(
         residual=residual,
         mixing=mixing,
         design=np.column_stack([mixing.sum(1), mixing @ mean[usable]]),
-        instrument=np.column_stack([mixing.sum(1), mixing @ around[usable]]),
+        instrument=np.column_stack([mixing.sum(1), mixing @ neighbours[usable]]),
     )
 
 
@@ -79,18 +80,18 @@ def window_photon_transfer(
 ) -> PhotonTransfer:
     """Gain and read noise from windows around images at rest.
 
-    Offsets differ from pixel to pixel, so that the mean of a pixel is its light with an error, which would lower the
-    slope of least squares; the mean of its neighbours has the light without that error and serves as the instrument
-    (Durbin 1954). Offsets that scatter by 3 % of the brightest pixel still lower K by some 6 %. The error is that of
-    the sample of frames (whose residuals the projection correlates within a window) and that of the sample of pixels,
-    whose read noise differs.
+    Offsets differ from pixel to pixel: the mean of a pixel is its light with an error, which would lower the slope of
+    least squares; the mean of its neighbours has the light without that error and is the instrument (Durbin 1954).
+    Offsets that scatter by 3 % of the brightest pixel still lower K by some 6 %. The error is that of the sample of
+    frames (whose residuals the projection correlates within a window) and that of the sample of pixels, whose read
+    noise differs.
 
     Parameters
     ----------
     dn : sequence of (n, j, h, w)
         Series of n frames of j windows [DN]; n and j may differ from series to series.
     usable : sequence of (j, h, w) bool
-        Pixels that count.
+        Pixels to use.
     offset_dn : float
         Reading without light, for the read noise.
 
@@ -140,40 +141,33 @@ def window_photon_transfer(
 def _error(windows: Sequence[_Window], influence: Sequence[FloatArray], misfit: Sequence[FloatArray]) -> float:
     """Error of a sum of the variances of the residuals with weights ``influence``.
 
-    Frames are independent of each other, and windows; so are the deviations of the pixels' own variances from the line.
-    These are the misfits of the residuals, unmixed, less what the sample of frames makes of them.
+    Frames and windows are independent of each other, and so are the deviations of the variances of the pixels from the
+    line: the misfits of the residuals, unmixed, less the noise of the sample of frames.
     """
     sampling = pattern = 0.0
-    for window, weight, off in zip(windows, influence, misfit, strict=True):
+    for window, weight, residual in zip(windows, influence, misfit, strict=True):
         count = len(window.residual)
         change = window.squares - window.squares.mean(0)
         sampling += float(((change @ weight) ** 2).sum()) / (count * (count - 1))
         unmixed = np.linalg.pinv(window.mixing, hermitian=True)
         noise = ((change @ unmixed) ** 2).sum(0) / (count * (count - 1))
-        pattern += float((weight @ window.mixing) ** 2 @ ((unmixed @ off) ** 2 - noise))
+        pattern += float((weight @ window.mixing) ** 2 @ ((unmixed @ residual) ** 2 - noise))
     return float(np.sqrt(sampling + max(pattern, 0.0)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommonNoise:
-    """The two frames of a series whose noise is most alike."""
+    """The two frames of a series with the largest correlation of their noise."""
 
     frames: tuple[int, int]
     correlation: float  # Of their noise over the pixels
-    limit: float  # Which independent noise reaches with the stated false alarm
+    limit: float  # Of independent noise, with the stated false alarm probability
 
 
 def common_noise(dn: ArrayLike, usable: ArrayLike, *, false_alarm: float) -> CommonNoise | None:
-    """The two of n frames whose noise is most alike; None for fewer than four.
+    """Largest correlation of the noise of two of n frames of windows (n, j, h, w) over usable pixels (j, h, w).
 
-    Parameters
-    ----------
-    dn : (n, j, h, w)
-        Frames of j windows [DN].
-    usable : (j, h, w) bool
-        Pixels that count.
-    false_alarm : float
-        Probability that the largest correlation of independent frames exceeds the limit.
+    None for fewer than four frames. ``false_alarm``: probability that independent frames exceed the limit.
     """
     frames = np.asarray(dn, float)
     count = len(frames)
@@ -188,8 +182,8 @@ def common_noise(dn: ArrayLike, usable: ArrayLike, *, false_alarm: float) -> Com
     pairs = np.triu_indices(count, 1)
     correlation = (unit @ unit.T)[pairs] + 1.0 / (count - 1)
     spread = 1.0 / np.sqrt(unit.shape[1])
-    if len(correlation) >= MANY_PAIRS:  # neighbouring pixels may share noise: fewer of them than there are
-        spread = max(spread, 1.4826 * float(np.median(np.abs(correlation - np.median(correlation)))))
+    if len(correlation) >= MANY_PAIRS:  # correlated neighbours: fewer independent pixels
+        spread = max(spread, robust_sigma(correlation))
     worst = int(np.argmax(correlation))
     return CommonNoise(
         frames=(int(pairs[0][worst]), int(pairs[1][worst])),

@@ -19,11 +19,11 @@ from optics.records import freeze_all
 _FIRST_STEP, _FIRST_BOX = 2, 32
 """Cell size [px] of the first pass, which only finds stars, in every second pixel of every second row."""
 
-_TOGETHER = 2**17
+_SORTED_PIXELS = 2**17
 """Pixels that are sorted at a time."""
 
-SLOPE_PART, LEAST_PART = 0.15, 0.2
-"""Of the noise of a cell: slopes that vary the level by less are left in; less noise than this is not believed."""
+SLOPE_FRACTION, LEAST_FRACTION = 0.15, 0.2
+"""Of the noise of a cell: smallest slope that is subtracted, smallest noise that remains."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,7 +40,7 @@ class Background:
         freeze_all(self, level_e=("a", "b"), sigma_e=("a", "b"), centre_x_px=("b",), centre_y_px=("a",))
 
     def _at(self, mesh: FloatArray, x_px: NDArray[Any], y_px: NDArray[Any]) -> FloatArray:
-        """Values of a mesh at places (n,): a cubic spline between the cells, constant beyond the outermost centres."""
+        """Values (n,) of a mesh: a cubic spline between the cells, constant beyond the outermost centres."""
         return np.asarray(np.sum((_weights(self.centre_y_px, y_px) @ mesh) * _weights(self.centre_x_px, x_px), axis=1))
 
     def _image(self, mesh: FloatArray) -> FloatArray:
@@ -64,12 +64,12 @@ class Background:
         return self._image(self.sigma_e)
 
 
-def _weights(centre: FloatArray, place: ArrayLike) -> FloatArray:
-    """Weights (n, a) of a cells in an interpolating spline at ``place`` (n,)."""
+def _weights(centre: FloatArray, position: ArrayLike) -> FloatArray:
+    """Weights (n, a) of a cells in an interpolating spline at positions (n,)."""
     if len(centre) == 1:
-        return np.ones((np.size(place), 1))
+        return np.ones((np.size(position), 1))
     spline = make_interp_spline(centre, np.eye(len(centre)), k=min(3, len(centre) - 1))
-    return np.asarray(spline(np.clip(np.asarray(place, float), centre[0], centre[-1])))
+    return np.asarray(spline(np.clip(np.asarray(position, float), centre[0], centre[-1])))
 
 
 def estimate_background(
@@ -83,12 +83,11 @@ def estimate_background(
     """Background level and noise of an image.
 
     In each cell the pixels are clipped at ``clip_sigma`` around the median until nothing changes; the standard
-    deviation is corrected for the truncation of a normal distribution. The level is the mean of what is left (the
-    expectation, which the likelihood needs, and not the median, which whole DN quantise) or, in a crowded cell, 2.5
-    median - 1.5 mean (Bertin & Arnouts 1996, A&AS 117, 393, sec. 7.1). A second pass leaves out everything 3 sigma
-    above the first, grown by two pixels. Cells without usable pixels take the median of the others, and a 3 x 3 median
-    over the mesh removes cells filled by a bright object. The variation of the level within a cell is subtracted from
-    its noise.
+    deviation is corrected for the truncation of a normal distribution. The level is the mean of the remaining pixels
+    (the expectation that the likelihood needs; whole DN quantise a median) or, in a crowded cell, 2.5 median - 1.5 mean
+    (Bertin & Arnouts 1996, A&AS 117, 393, sec. 7.1). A second pass leaves out everything 3 sigma above the first, grown
+    by two pixels. Cells without usable pixels take the median of the others, and a 3 x 3 median over the mesh removes
+    cells filled by a bright object. The variation of the level within a cell is subtracted from its noise.
 
     Parameters
     ----------
@@ -136,38 +135,38 @@ def estimate_background(
     quantum = 1.0 / image.noise.gain_dn_per_e if image.noise.quantised else 0.0
     every = (slice(None, None, _FIRST_STEP), slice(None, None, _FIRST_STEP)) if box_px >= _FIRST_BOX else ()
     coarse = _mesh(electrons[every], usable[every], box_px // _FIRST_STEP if every else box_px, clip_sigma, quantum)
-    first = _on_whole(coarse, _FIRST_STEP, electrons.shape) if every else coarse
-    stars = electrons > first._image(first.level_e + 3.0 * first.sigma_e)
-    # bright pixels next to another one; lone noise peaks stay in, or the noise would be underestimated
-    rest = usable & ~grown(stars & grown(stars, 1, itself=False), 2)
-    return _without_slopes(_mesh(electrons, rest, box_px, clip_sigma, quantum)) if rest.any() else first
+    first = _on_full_image(coarse, _FIRST_STEP, electrons.shape) if every else coarse
+    bright = electrons > first._image(first.level_e + 3.0 * first.sigma_e)
+    # bright pixels next to another one; isolated noise peaks remain, or the noise would be underestimated
+    sky = usable & ~grown(bright & _with_bright_neighbour(bright), 2)
+    return _without_slopes(_mesh(electrons, sky, box_px, clip_sigma, quantum)) if sky.any() else first
 
 
-def _without_slopes(found: Background) -> Background:
-    """The noise without what the level itself varies within a cell: vignetting and twilight are no noise."""
-    slope2 = np.zeros(found.level_e.shape)
-    for axis, centre in enumerate((found.centre_y_px, found.centre_x_px)):
+def _without_slopes(background: Background) -> Background:
+    """The noise without the variation of the level within a cell (vignetting, twilight)."""
+    slope2 = np.zeros(background.level_e.shape)
+    for axis, centre in enumerate((background.centre_y_px, background.centre_x_px)):
         if len(centre) > 1:  # variance of a slope over the pixels of a cell
             step = 2.0 * centre[0] + 1.0
-            slope2 = slope2 + np.gradient(found.level_e, centre, axis=axis) ** 2 * (step**2 - 1.0) / 12.0
-    sigma = found.sigma_e
-    flat = np.sqrt(np.maximum(sigma**2 - slope2, (LEAST_PART * sigma) ** 2))
-    return replace(found, sigma_e=np.where(slope2 > (SLOPE_PART * sigma) ** 2, flat, sigma))
+            slope2 = slope2 + np.gradient(background.level_e, centre, axis=axis) ** 2 * (step**2 - 1.0) / 12.0
+    sigma = background.sigma_e
+    flat = np.sqrt(np.maximum(sigma**2 - slope2, (LEAST_FRACTION * sigma) ** 2))
+    return replace(background, sigma_e=np.where(slope2 > (SLOPE_FRACTION * sigma) ** 2, flat, sigma))
 
 
 def _thinned(
     image: SensorImage, box_px: int, clip_sigma: float, exclude: NDArray[np.bool_] | None, step_px: int
 ) -> Background:
-    """The background from every ``step_px``-th pixel in either direction, on the coordinates of the whole image."""
+    """The background from every ``step_px``-th pixel in either direction, on the coordinates of the full image."""
     every = (slice(None, None, step_px), slice(None, None, step_px))
-    some = replace(image, dn=image.dn[every], valid=image.valid[every], saturated=image.saturated[every])
-    left_out = None if exclude is None else np.asarray(exclude, dtype=bool)[every]
-    found = estimate_background(some, box_px=box_px // step_px, clip_sigma=clip_sigma, exclude=left_out)
-    return _on_whole(found, step_px, image.dn.shape)
+    thinned = replace(image, dn=image.dn[every], valid=image.valid[every], saturated=image.saturated[every])
+    excluded = None if exclude is None else np.asarray(exclude, dtype=bool)[every]
+    sky = estimate_background(thinned, box_px=box_px // step_px, clip_sigma=clip_sigma, exclude=excluded)
+    return _on_full_image(sky, step_px, image.dn.shape)
 
 
-def _on_whole(thinned: Background, step_px: int, shape: tuple[int, ...]) -> Background:
-    """A background of every ``step_px``-th pixel on the coordinates of the whole image."""
+def _on_full_image(thinned: Background, step_px: int, shape: tuple[int, ...]) -> Background:
+    """A background of every ``step_px``-th pixel on the coordinates of the full image."""
     return replace(
         thinned,
         centre_x_px=thinned.centre_x_px * step_px,
@@ -176,25 +175,24 @@ def _on_whole(thinned: Background, step_px: int, shape: tuple[int, ...]) -> Back
     )
 
 
-def grown(mask: NDArray[np.bool_], by_px: int, *, itself: bool = True) -> NDArray[np.bool_]:
-    """A mask (h, w) grown by squares of ``by_px`` on all sides; without ``itself`` only by what lies around a pixel."""
-    out = np.array(mask) if itself else np.zeros_like(mask)
-    if itself:  # along columns, then along rows
-        for axis in (0, 1):
-            before = np.moveaxis(np.array(out), axis, 0)
-            target = np.moveaxis(out, axis, 0)
-            for step in range(1, by_px + 1):
-                target[step:] |= before[:-step]
-                target[:-step] |= before[step:]
-        return out
-    height, width = mask.shape
-    for down in range(-by_px, by_px + 1):
-        for right in range(-by_px, by_px + 1):
-            if down or right:
-                to = slice(max(down, 0), height + min(down, 0)), slice(max(right, 0), width + min(right, 0))
-                at = slice(max(-down, 0), height + min(-down, 0)), slice(max(-right, 0), width + min(-right, 0))
-                out[to] |= mask[at]
+def grown(mask: NDArray[np.bool_], by_px: int) -> NDArray[np.bool_]:
+    """A mask (h, w) grown by squares of ``by_px``; ten times faster than `scipy.ndimage.maximum_filter`."""
+    out = np.array(mask)
+    for axis in (0, 1):
+        before = np.moveaxis(np.array(out), axis, 0)
+        target = np.moveaxis(out, axis, 0)
+        for step in range(1, by_px + 1):
+            target[step:] |= before[:-step]
+            target[:-step] |= before[step:]
     return out
+
+
+def _with_bright_neighbour(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Pixels (h, w) of which any of the eight neighbours is in the mask."""
+    height, width = mask.shape
+    padded = np.pad(mask, 1)
+    shifts = [(row, column) for row in range(3) for column in range(3) if (row, column) != (1, 1)]
+    return np.asarray(np.logical_or.reduce([padded[y : y + height, x : x + width] for y, x in shifts]))
 
 
 def _mesh(
@@ -205,33 +203,28 @@ def _mesh(
     step_y, step_x = -(-height // rows), -(-width // columns)
     rows, columns = -(-height // step_y), -(-width // step_x)
     level, sigma = np.empty((2, rows, columns))
-    together = max(1, _TOGETHER // (step_y * width))  # rows of cells whose numbers stay in the cache
-    for first in range(0, rows, together):
-        at = slice(first * step_y, min((first + together) * step_y, height))
-        some = min(together, rows - first)
-        padded = np.full((some * step_y, columns * step_x), np.nan)
+    chunk = max(1, _SORTED_PIXELS // (step_y * width))  # rows of cells whose numbers fit into the cache
+    for first in range(0, rows, chunk):
+        at = slice(first * step_y, min((first + chunk) * step_y, height))
+        count = min(chunk, rows - first)
+        padded = np.full((count * step_y, columns * step_x), np.nan)
         padded[: at.stop - at.start, :width] = np.where(usable[at], electrons[at], np.nan)
-        cells = padded.reshape(some, step_y, columns, step_x).swapaxes(1, 2).reshape(some * columns, -1)
-        found = _clipped_statistics(cells, clip_sigma, quantum)
-        level[first : first + some], sigma[first : first + some] = (one.reshape(some, columns) for one in found)
+        cells = padded.reshape(count, step_y, columns, step_x).swapaxes(1, 2).reshape(count * columns, -1)
+        statistics = np.reshape(_clipped_statistics(cells, clip_sigma, quantum), (2, count, columns))
+        level[first : first + count], sigma[first : first + count] = statistics
     empty = ~np.isfinite(level)
     if empty.any():
         level[empty], sigma[empty] = np.nanmedian(level), np.nanmedian(sigma)
     if min(rows, columns) >= 3:
         smooth, sigma = median_filter(level, 3), median_filter(sigma, 3)
         # at the border the median of a slope is off by a cell; there only outliers are replaced
-        replace = np.abs(level - smooth) > sigma
-        replace[1:-1, 1:-1] = True
-        level = np.where(replace, smooth, level)
+        replaced = np.abs(level - smooth) > sigma
+        replaced[1:-1, 1:-1] = True
+        level = np.where(replaced, smooth, level)
     centre_y = [0.5 * (i * step_y + min((i + 1) * step_y, height) - 1) for i in range(rows)]
     centre_x = [0.5 * (i * step_x + min((i + 1) * step_x, width) - 1) for i in range(columns)]
-    return Background(
-        level_e=level,
-        sigma_e=sigma,
-        centre_x_px=np.array(centre_x),
-        centre_y_px=np.array(centre_y),
-        shape=(height, width),
-    )
+    mesh_px = {"centre_x_px": np.array(centre_x), "centre_y_px": np.array(centre_y)}
+    return Background(level_e=level, sigma_e=sigma, shape=(height, width), **mesh_px)
 
 
 def _clipped_statistics(cells: FloatArray, clip_sigma: float, quantum: float) -> tuple[FloatArray, FloatArray]:
@@ -240,7 +233,7 @@ def _clipped_statistics(cells: FloatArray, clip_sigma: float, quantum: float) ->
     count = np.isfinite(ordered).sum(axis=1)
     zero = ordered[:, :1].copy()
     k = np.arange(len(ordered))
-    zero[:, 0] = ordered[k, np.maximum(count - 1, 0) // 2]  # moments about the median keep their digits
+    zero[:, 0] = ordered[k, np.maximum(count - 1, 0) // 2]  # moments about the median, without cancellation
     ordered = ordered - zero
     shifted = np.where(np.isnan(ordered), 0.0, ordered)
     sums, squares = np.zeros((2, shifted.shape[0], shifted.shape[1] + 1))
@@ -254,7 +247,7 @@ def _clipped_statistics(cells: FloatArray, clip_sigma: float, quantum: float) ->
     def below(limit: FloatArray, side: Literal["left", "right"] = "left") -> NDArray[np.int64]:
         """How many numbers of each row are smaller, or with "right" not larger, than its limit."""
         rows = zip(ordered, count, limit, strict=True)
-        return np.array([row[:many].searchsorted(value, side) for row, many, value in rows], np.int64)
+        return np.array([row[:number].searchsorted(value, side) for row, number, value in rows], np.int64)
 
     for step in range(20):
         median, mean, sigma = _range_moments(shifted, sums, squares, low, high)
@@ -273,11 +266,11 @@ def _clipped_statistics(cells: FloatArray, clip_sigma: float, quantum: float) ->
         median = median + quantum * ((0.5 * (high - low) - fewer) / np.maximum(same, 1) - 0.5)
     crowded = mean - median > 0.1 * sigma
     level = np.where(crowded, 2.5 * median - 1.5 * mean, mean) + zero[:, 0]
-    some = count > 0
-    for row in np.flatnonzero(some & _coarse(ordered, count, quantum)):
+    filled = count > 0
+    for row in np.flatnonzero(filled & _coarse(ordered, count, quantum)):
         level[row], sigma[row] = _coarse_statistics(ordered[row, : count[row]], quantum)
         level[row] += zero[row, 0]
-    return np.where(some, level, np.nan), np.where(some, sigma, np.nan)
+    return np.where(filled, level, np.nan), np.where(filled, sigma, np.nan)
 
 
 def _coarse(ordered: FloatArray, count: NDArray[np.int64], quantum: float) -> NDArray[np.bool_]:
@@ -290,16 +283,15 @@ def _coarse(ordered: FloatArray, count: NDArray[np.int64], quantum: float) -> ND
 
 
 def _coarse_statistics(values: FloatArray, quantum: float) -> tuple[float, float]:
-    """Mean and standard deviation of sorted numbers that are few, or cut off at the lowest.
+    """Mean and standard deviation of sorted values with few different numbers, or clipped at the lowest.
 
-    Where the normal distribution behind them must lie to be cut into these shares follows from a straight line: edges
-    between numbers against the normal quantiles of the shares below them, from 2 to 97 %. What is 4 standard deviations
-    above it is no background. Mean and deviation are of the unchanged numbers, cut off and rounded, since the filter of
-    the detection and the likelihood of the fits see these.
+    The underlying normal distribution follows from a straight line: edges between numbers against the normal quantiles
+    of the fractions below them, from 2 to 97 %. Values 4 standard deviations above its mean are no background. Mean and
+    deviation are of the rounded and clipped values, which detection and fits use.
     """
-    if not quantum:  # means of colours, say
-        apart = np.diff(values)
-        quantum = float(np.min(apart[apart > 1e-6 * (values[-1] - values[0])], initial=np.inf))
+    if not quantum:  # e.g. means of colours
+        step = np.diff(values)
+        quantum = float(np.min(step[step > 1e-6 * (values[-1] - values[0])], initial=np.inf))
         if not np.isfinite(quantum):
             return float(values.mean()), 0.0
     code, number = np.unique(np.rint(values / quantum), return_counts=True)
@@ -309,8 +301,8 @@ def _coarse_statistics(values: FloatArray, quantum: float) -> tuple[float, float
     if inside.sum() >= 2:
         slope, middle = np.polyfit(ndtri(below[inside]), code[inside] + 0.5, 1)
         top = max((middle + 4.0 * slope + 0.5) * quantum, top)
-    kept = values[: np.searchsorted(values, top, "right")]
-    return float(kept.mean()), float(kept.std())
+    background = values[: np.searchsorted(values, top, "right")]
+    return float(background.mean()), float(background.std())
 
 
 def _range_moments(

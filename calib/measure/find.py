@@ -30,9 +30,9 @@ def find_stars(
 ) -> StarTable:
     """Detected and centroided stars of an image, brightest first.
 
-    Every detection keeps its row; flags state its faults. ``stars.select(stars.fit)`` are the stars usable for an
-    attitude. ``PIXEL_PHASE`` flags stars too narrow (or too wide) for the centroider: ``stars.width_px`` is their
-    width, ``stars.phase_error_px`` the error that the covariance does not include.
+    Every detection has a row; flags state its faults. ``stars.select(stars.fit)`` are the stars usable for an attitude.
+    ``PIXEL_PHASE`` flags stars too narrow (or too wide) for the centroider: ``stars.width_px`` is their width,
+    ``stars.phase_error_px`` the error that the covariance does not include.
 
     Parameters
     ----------
@@ -41,8 +41,10 @@ def find_stars(
         (`calib.measure.images.sensor_image.sensor_image`, which also takes gain and read noise where they are known).
     centroider : str
         Name of a centroider (`calib.measure.centroiding.registry.list_centroiders`).
-    background, threshold_sigma, fwhm_px, size_px, max_stars, noise : optional
-        As in `find_stamps`.
+    background, threshold_sigma, fwhm_px, max_stars, noise : optional
+        As of `detect`.
+    size_px : int
+        Side of the windows, odd.
     **options
         Attributes of the centroider, e.g. ``epsf=`` for "epsf" or ``fit_background=True`` for "gaussian".
 
@@ -68,7 +70,7 @@ def find_stars(
     >>> bool(abs(stars.x_px[0] - 40.25) < 0.01), bool(abs(stars.y_px[0] - 20.5) < 0.01)
     (True, True)
     """
-    chosen = get_centroider(centroider, **options)
+    estimator = get_centroider(centroider, **options)
     sensor = as_image(image)
     stamps = find_stamps(
         sensor,
@@ -79,7 +81,7 @@ def find_stars(
         max_stars=max_stars,
         noise=noise,
     )
-    return chosen.measure(stamps, sensor.noise)
+    return estimator.measure(stamps, sensor.noise)
 
 
 def find_stamps(
@@ -92,11 +94,8 @@ def find_stamps(
     max_stars: int | None = None,
     noise: FilteredNoise | None = None,
 ) -> Stamps:
-    """Windows around the detected stars of an image, brightest first, ready for a centroider.
-
-    Shapes: ``image`` (h, w).
-    """
+    """Windows around the detected stars of an image (h, w), brightest first, for a centroider."""
     sensor = as_image(image)
     sky = estimate_background(sensor) if background is None else background
-    found = detect(sensor, sky, threshold_sigma=threshold_sigma, fwhm_px=fwhm_px, max_stars=max_stars, noise=noise)
-    return extract_stamps(sensor, found.x_px, found.y_px, background=sky, size_px=size_px, flags=found.flags)
+    stars = detect(sensor, sky, threshold_sigma=threshold_sigma, fwhm_px=fwhm_px, max_stars=max_stars, noise=noise)
+    return extract_stamps(sensor, stars.x_px, stars.y_px, background=sky, size_px=size_px, flags=stars.flags)

@@ -21,12 +21,12 @@ from optics.records import freeze
 from render.records import Frame, PsfGrid
 
 FWHM_PX = 1.8
-"""Of the detection filter: a spot of sigma 0.7 px on the pixels."""
+"""Width of the detection filter: a spot of sigma 0.7 px on the pixels."""
 SMEAR_PX = 0.25
-"""Trails up to this length are measured like stars at rest."""
+"""Longest trail that is measured like a star at rest."""
 BACKGROUND_STEP_PX = 4
-"""The sky is flat over hundreds of pixels; every 16th pixel gives its level to a fraction of an electron. The noise of
-a cell is then known to some 3 %, which at 5 sigma makes a third more false alarms."""
+"""Every 16th pixel gives the level of a sky that is flat over hundreds of pixels to a fraction of an electron. The
+noise of a cell has an error of some 3 % then, which at 5 sigma adds a third of the false alarms."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,11 +39,11 @@ class FrameReduction:
     window_px: int  # Its window
     threshold_sigma: float  # Detection limit
     fwhm_px: float = FWHM_PX  # Width of the detection filter
-    psfs: PsfGrid | None = None  # For a centroider that needs one
-    background_step_px: int = BACKGROUND_STEP_PX  # Every how many pixels background and noise are estimated from
+    psfs: PsfGrid | None = None  # For a centroider that needs PSFs
+    background_step_px: int = BACKGROUND_STEP_PX  # Step of the pixels used for background and noise
 
     def __post_init__(self) -> None:
-        freeze(self, "dark_dn", shape=("h", "w"), dtype=np.float32, sizes={})
+        freeze(self, "dark_dn", shape=("h", "w"), dtype=np.float32)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,21 +51,20 @@ class MeasuredFrame:
     """Stars of one frame."""
 
     stars: StarTable  # All detections with their centroids, brightest first
-    fit: NDArray[np.bool_]  # (n,) Whether a star may count in an attitude: no flag against it
-    detected_px: FloatArray  # (n, 2) Where they were detected, before the centroid
+    fit: NDArray[np.bool_]  # (n,) Whether a star may be used for an attitude: `StarTable.fit`
+    detected_px: FloatArray  # (n, 2) Positions of the detections, before the centroid
 
-    def matched(self, place_px: FloatArray, near_px: float, match_px: float) -> tuple[NDArray[np.int64], int]:
-        """Detection of each star (n,), -1 for none, and the number of detections that are no star: beyond ``near_px``
-        from all.
+    def matched(self, star_px: FloatArray, near_px: float, match_px: float) -> tuple[NDArray[np.int64], int]:
+        """Detection of each star (n,), -1 for none, and the number of false detections, beyond ``near_px`` from all.
 
         Detections flagged as too sharp for a star are left out.
         """
-        partner, lit = np.full(len(place_px), -1), np.flatnonzero(np.isfinite(place_px).all(axis=1))
-        pairs = nearest_pairs(place_px[lit], self.detected_px, match_px)
-        partner[lit] = pairs.detection
-        return partner, int(np.count_nonzero((pairs.distance_px > near_px) & ~self.stars.sharp))
+        detection, visible = np.full(len(star_px), -1), np.flatnonzero(np.isfinite(star_px).all(axis=1))
+        pairs = nearest_pairs(star_px[visible], self.detected_px, match_px)
+        detection[visible] = pairs.detection
+        return detection, int(np.count_nonzero((pairs.distance_px > near_px) & ~self.stars.sharp))
 
-    def at_once(self, pixel_px: FloatArray) -> MeasuredFrame:
+    def at_positions(self, pixel_px: FloatArray) -> MeasuredFrame:
         """The same stars at other positions (n, 2)."""
         return replace(self, stars=replace(self.stars, x_px=pixel_px[:, 0], y_px=pixel_px[:, 1]))
 
@@ -73,8 +72,9 @@ class MeasuredFrame:
 def measure_frame(frame: Frame, reduction: FrameReduction, *, smear_px: float = 0.0) -> MeasuredFrame:
     """Detect and centroid the stars of a frame.
 
-    A PSF at rest does not fit a trail: where the camera turned, as its rate says, positions are first moments under a
-    Gaussian window (`calib.measure.centroiders.windowed.WindowedCentroid`), in a window that holds the trail.
+    A PSF at rest does not fit a trail: with ``smear_px`` of motion by the rate of the camera, positions are first
+    moments under a Gaussian window (`calib.measure.centroiders.windowed.WindowedCentroid`), in a window that contains
+    the trail.
     """
     image = subtract_dark(frame, reduction.dark_dn, noise=reduction.noise)
     try:
@@ -95,8 +95,4 @@ def measure_frame(frame: Frame, reduction: FrameReduction, *, smear_px: float = 
         stamps = replace(stamps, psf_index=reduction.psfs.nearest(stamps.start_px[:, 0], stamps.start_px[:, 1]))
         options = {"epsf": reduction.psfs.psfs}
     stars = get_centroider("windowed" if moving else reduction.centroid, **options).measure(stamps, image.noise)
-    return MeasuredFrame(
-        stars=stars,
-        fit=stars.fit,
-        detected_px=stamps.start_px,
-    )
+    return MeasuredFrame(stars=stars, fit=stars.fit, detected_px=stamps.start_px)

@@ -42,21 +42,21 @@ def dark_subtracted(
 
 
 def ring_subtracted(
-    stack: WindowStack, found_px: FloatArray, *, response: FloatArray | None = None
+    stack: WindowStack, detected_px: FloatArray, *, response: FloatArray | None = None
 ) -> tuple[Stamps, NoiseModel]:
-    """Stamps minus the nominal offset and one background value per window; fixed patterns stay.
+    """Stamps minus the nominal offset and a background value per window; fixed patterns remain.
 
     The background is that of the outermost ring of the mean frame; centroiders start at its centre of gravity within
-    3 px of the detection, where patterns far from the light do not count.
+    3 px of the detection.
     """
     frames, count, height, width = stack.dn.shape
-    stamps, noise = stamps_from_windows(stack, background_e=0.0, start_px=found_px)
+    stamps, noise = stamps_from_windows(stack, background_e=0.0, start_px=detected_px)
     if response is not None:
         stamps = replace(stamps, electrons=stamps.electrons / np.tile(response, (frames, 1, 1)))
     mean = stamps.electrons.reshape(frames, count, height, width).mean(0)
     valid = ~stack.defect
     level = ring_background(mean, valid)
-    at = np.rint(found_px - stack.corner_px)
+    at = np.rint(detected_px - stack.corner_px)
     near_x, near_y = (np.abs(np.arange(n) - at[:, k, None]) <= NEAR_PX for k, n in enumerate((width, height)))
     near = near_y[:, :, None] & near_x[:, None, :]
     gravity = centre_of_gravity(np.where(near & valid, mean - level[:, None, None], 0.0))

@@ -11,17 +11,29 @@ from scipy.spatial import cKDTree
 
 from calib.flags import StarFlag
 from calib.measure.background import Background
+from calib.measure.statistics.robust import ROBUST_SIGMA
 from calib.records import NoiseModel, SensorImage, Stamps
-from optics.arrays import FloatArray
+from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 from render.records import WindowStack
 
 
-def parabola_peak(before: FloatArray, peak: FloatArray, after: FloatArray) -> FloatArray:
-    """Offset (within +-0.5) of the vertex of the parabola through three equidistant samples, the middle one highest."""
-    curvature = before - 2.0 * peak + after
-    offset = np.divide(0.5 * (before - after), curvature, out=np.zeros_like(peak), where=curvature < 0)
-    return np.clip(offset, -0.5, 0.5)
+def subpixel_peaks(
+    images: FloatArray, image: IntArray | int, x: IntArray, y: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """Columns and rows (n,) of maxima at whole pixels of images (m, h, w): vertices of parabolas along both axes."""
+    peak = images[image, y, x]
+
+    def vertex(before: FloatArray, after: FloatArray) -> FloatArray:
+        curvature = before - 2.0 * peak + after
+        offset = np.divide(0.5 * (before - after), curvature, out=np.zeros_like(peak), where=curvature < 0)
+        return np.clip(offset, -0.5, 0.5)
+
+    _, height, width = images.shape
+    left, right = np.maximum(x - 1, 0), np.minimum(x + 1, width - 1)
+    above, below = np.maximum(y - 1, 0), np.minimum(y + 1, height - 1)
+    dx = vertex(images[image, y, left], images[image, y, right])
+    return x + dx, y + vertex(images[image, above, x], images[image, below, x])
 
 
 def coarse_position(light: FloatArray, valid: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
@@ -33,32 +45,28 @@ def coarse_position(light: FloatArray, valid: NDArray[np.bool_]) -> tuple[FloatA
     smooth = np.where(valid, light, 0.0)
     for axis in (1, 2):
         smooth = correlate1d(smooth, kernel, axis=axis, mode="constant")
-    n, height, width = smooth.shape
-    rows = np.arange(n)
-    top = smooth.reshape(n, -1).argmax(axis=1) if n else np.empty(0, np.int64)
-    y, x = np.divmod(top, width)
-    peak = smooth[rows, y, x]
-    dx = parabola_peak(smooth[rows, y, np.maximum(x - 1, 0)], peak, smooth[rows, y, np.minimum(x + 1, width - 1)])
-    dy = parabola_peak(smooth[rows, np.maximum(y - 1, 0), x], peak, smooth[rows, np.minimum(y + 1, height - 1), x])
-    return x + dx, y + dy
+    count, _, width = smooth.shape
+    highest = smooth.reshape(count, -1).argmax(axis=1) if count else np.empty(0, np.int64)
+    y, x = np.divmod(highest, width)
+    return subpixel_peaks(smooth, np.arange(count), x, y)
 
 
 def ring_background(electrons: FloatArray, valid: NDArray[np.bool_]) -> FloatArray:
     """Background of each window [e-] from its outermost ring of pixels: mean after clipping at 3 sigma (MAD).
 
-    The wings of the star raise it; where that matters, hand in a better value or fit the background.
+    The wings of the star raise it; a better value or a fit of the background avoids that.
     """
     edge = np.ones(electrons.shape[1:], dtype=bool)
     edge[1:-1, 1:-1] = False
     ring, usable = electrons[:, edge], valid[:, edge]
-    out = np.zeros(len(electrons))
-    some = usable.any(axis=1)
-    values = np.where(usable, ring, np.nan)[some]
+    level = np.zeros(len(electrons))
+    determined = usable.any(axis=1)
+    values = np.where(usable, ring, np.nan)[determined]
     median = np.nanmedian(values, axis=1, keepdims=True)
-    spread = 1.4826 * np.nanmedian(np.abs(values - median), axis=1, keepdims=True)
-    keep = np.abs(values - median) <= np.maximum(3.0 * spread, 1e-9)
-    out[some] = np.nanmean(np.where(keep, values, np.nan), axis=1)
-    return out
+    spread = ROBUST_SIGMA * np.nanmedian(np.abs(values - median), axis=1, keepdims=True)
+    inlier = np.abs(values - median) <= np.maximum(3.0 * spread, 1e-9)
+    level[determined] = np.nanmean(np.where(inlier, values, np.nan), axis=1)
+    return level
 
 
 def extract_stamps(
@@ -73,8 +81,8 @@ def extract_stamps(
 ) -> Stamps:
     """Square windows around given positions.
 
-    A window always has its full size; what lies beyond the image is invalid and sets ``EDGE``. A second position
-    within the window sets ``BLEND`` on both.
+    A window always has its full size; pixels beyond the image are invalid and set ``EDGE``. A second position within
+    the window sets ``BLEND`` on both.
 
     Shapes: ``x_px`` (n,), ``y_px`` (n,), ``background`` (n,), ``flags`` (n,), ``psf_index`` (n,).
     """
@@ -100,17 +108,17 @@ def extract_stamps(
         level = background.level_at(x, y)
     else:
         level = np.broadcast_to(np.asarray(background, dtype=np.float64), x.shape)
-    found = _window_flags(inside, saturated, defect, valid)
-    found[_crowded(x, y, size_px)] |= int(StarFlag.BLEND)
+    window_flags = _window_flags(inside, saturated, defect, valid)
+    window_flags[_crowded(x, y, size_px)] |= int(StarFlag.BLEND)
     if flags is not None:
-        found |= np.asarray(flags, dtype=np.uint32)
+        window_flags |= np.asarray(flags, dtype=np.uint32)
     return Stamps(
         electrons=electrons,
         valid=valid,
         corner_px=centre - half,
         background_e=level,
         start_px=np.column_stack([x, y]),
-        flags=found,
+        flags=window_flags,
         psf_index=np.zeros(len(x), np.int64) if psf_index is None else np.asarray(psf_index),
     )
 
@@ -174,8 +182,7 @@ def noiseless_stamps(
 ) -> Stamps:
     """Stamps of expected light (n, h, w) without background.
 
-    Measurements start at the centre of gravity of the usable pixels if ``start_px`` (n, 2) is left out; every window
-    has its own PSF if ``psf_index`` (n,) is.
+    Default ``start_px`` (n, 2): centres of gravity of the usable pixels; default ``psf_index``: a PSF for every window.
     """
     count = len(light_e)
     corner = np.zeros((count, 2), np.int64) if corner_px is None else corner_px
@@ -212,7 +219,5 @@ def _window_flags(
 
 def _crowded(x: FloatArray, y: FloatArray, size_px: int) -> NDArray[np.int64]:
     """Stars that have another one inside their window."""
-    if len(x) < 2:
-        return np.empty(0, np.int64)
     pairs = cKDTree(np.column_stack([x, y])).query_pairs(0.5 * size_px, p=np.inf, output_type="ndarray")
     return np.unique(pairs)

@@ -18,7 +18,7 @@ from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD, RAD_DEG
 
 LOWEST_COSINE = 0.17
-"""Below 10 deg of altitude refraction is no longer proportional to tan z."""
+"""Below 10 deg of altitude refraction is not proportional to tan z."""
 FEWEST_POINTINGS = 4
 LARGEST_SCATTER_DEG, LARGEST_ERROR_RAD = 1.0, 0.05
 
@@ -32,19 +32,19 @@ class SiteZenith:
     longitude_deg: float
     error_deg: float = 0.0  # Standard deviation of latitude and of longitude; 0 where stated
     offset_deg: float = 0.0  # True minus stated altitude
-    scatter_deg: float = 0.0  # Of the stated altitudes about it
+    scatter_deg: float = 0.0  # Of the stated altitudes about the fit
 
 
 def earth_rotation(taken: datetime) -> FloatArray:
     """Rotation matrix (3, 3), terrestrial from celestial axes, at a time in UTC."""
-    when = Time(taken.replace(tzinfo=None), scale="utc")
-    return np.asarray(erfa.c2t06a(when.tt.jd1, when.tt.jd2, when.utc.jd1, when.utc.jd2, 0.0, 0.0))
+    time = Time(taken.replace(tzinfo=None), scale="utc")
+    return np.asarray(erfa.c2t06a(time.tt.jd1, time.tt.jd2, time.utc.jd1, time.utc.jd2, 0.0, 0.0))
 
 
 def zenith_directions(latitude_deg: float, longitude_deg: float, taken: Sequence[datetime]) -> FloatArray:
     """Unit vectors (n, 3) in icrs towards the zenith of a site at n times (UTC)."""
     vertical = _vertical(*np.radians([latitude_deg, longitude_deg]))
-    return np.stack([earth_rotation(when).T @ vertical for when in taken])
+    return np.stack([earth_rotation(time).T @ vertical for time in taken])
 
 
 def _vertical(latitude_rad: float, longitude_rad: float) -> FloatArray:
@@ -53,14 +53,14 @@ def _vertical(latitude_rad: float, longitude_rad: float) -> FloatArray:
 
 
 def fit_zenith(boresight: FloatArray, altitude_deg: FloatArray, taken: Sequence[datetime]) -> SiteZenith | None:
-    """Site at which boresights (n, 3) in icrs have the stated altitudes (n,), apart from a common offset.
+    """Site at which boresights (n, 3) in icrs have the stated altitudes (n,), up to a common offset.
 
-    The offset stands for a mount axis that is not the boresight, and for refraction. None for fewer than four
-    pointings, for pointings along one line, and for altitudes of another mount (scatter above 1 deg).
+    The offset contains the angle between mount axis and boresight, and refraction. None for fewer than four pointings,
+    for pointings along a line, and for altitudes of another mount (scatter above 1 deg).
     """
     if len(boresight) < FEWEST_POINTINGS:
         return None
-    terrestrial = np.stack([earth_rotation(when) @ axis for when, axis in zip(taken, boresight, strict=True)])
+    terrestrial = np.stack([earth_rotation(time) @ axis for time, axis in zip(taken, boresight, strict=True)])
 
     def residual_deg(p: FloatArray) -> FloatArray:
         sine = np.clip(terrestrial @ _vertical(p[0], p[1]), -1.0, 1.0)
@@ -92,7 +92,7 @@ def fit_zenith(boresight: FloatArray, altitude_deg: FloatArray, taken: Sequence[
 def refracted(direction: FloatArray, zenith: FloatArray, arcsec: float) -> FloatArray:
     """Apparent directions (n, 3) of true ones (n, 3), raised towards the zenith (3,) by ``arcsec * tan z``.
 
-    58.3 arcsec hold at sea level; below 10 deg of altitude the value of 10 deg is used.
+    58.3 arcsec at sea level; below 10 deg of altitude the value of 10 deg is used.
     """
     cosine = direction @ zenith
     low = np.maximum(cosine, LOWEST_COSINE)

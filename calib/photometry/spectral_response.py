@@ -1,7 +1,7 @@
 """Spectral response of a camera from the colours of its stars.
 
-Colours alone do not determine a curve: the result is a stated quantum efficiency, bent by a curve of few knots as
-little as the measured colour terms ask for.
+Colours alone do not determine a curve: the result is a stated quantum efficiency times the smoothest correction of few
+knots with the measured colour terms.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from optics.light.magnitudes import photon_rate
 from optics.light.spectrum import Blackbody
 
 REFERENCE_K = 5040.0
-"""Colour temperature over which colours are stated: 5040 K / T."""
+"""Numerator of colours, 5040 K / T."""
 WAVELENGTHS_NM = np.arange(400.0, 1001.0, 25.0)
 CURVE_NM = np.array([400.0, 500.0, 600.0, 700.0, 800.0, 1000.0])
 """Knots of the correction."""
 STIFFNESS_MAG, LEAST_ERROR_MAG, MEAN_MAG = 0.5, 0.01, 0.1
-"""Bend of the correction at a knot without evidence, error of a colour term at least, mean of the correction."""
+"""Prior of the bend of the correction at a knot, least error of a colour term, prior of the mean correction."""
 HIGHEST_TRANSMISSION = 0.9
 
 
@@ -49,19 +49,13 @@ def electrons_per_mm2(response: FloatArray, colour: FloatArray) -> FloatArray:
 
 
 def fit_response(colour_mag: FloatArray, error_mag: FloatArray, efficiency: FloatArray) -> SpectralResponse:
-    """Response that gives stars their measured colour terms.
+    """Response of the measured colour terms (k,): excess brightness over G at `COLOUR_KNOTS`, NaN where it is unknown.
 
-    Parameters
-    ----------
-    colour_mag, error_mag : (k,)
-        Excess brightness over G at `COLOUR_KNOTS` and its standard deviation; NaN where it is unknown, 0 at the
-        reference.
-    efficiency : (w,)
-        Stated quantum efficiency at `WAVELENGTHS_NM`.
+    ``efficiency`` (w,): stated quantum efficiency at `WAVELENGTHS_NM`.
     """
-    known = np.isfinite(colour_mag)
-    wanted, error = colour_mag[known], np.maximum(error_mag[known], LEAST_ERROR_MAG)
-    colours = COLOUR_KNOTS[known]
+    finite = np.isfinite(colour_mag)
+    measured, error = colour_mag[finite], np.maximum(error_mag[finite], LEAST_ERROR_MAG)
+    colours = COLOUR_KNOTS[finite]
     reference = int(np.flatnonzero(colours == COLOUR_KNOTS[REFERENCE_KNOT])[0])
 
     def curve(p: FloatArray) -> FloatArray:
@@ -70,7 +64,7 @@ def fit_response(colour_mag: FloatArray, error_mag: FloatArray, efficiency: Floa
     def misfit(p: FloatArray) -> FloatArray:
         light = electrons_per_mm2(curve(p), colours)
         terms = POGSON * np.log(light / light[reference])
-        return np.concatenate([(terms - wanted) / error, np.diff(p, 2) / STIFFNESS_MAG, [p.mean() / MEAN_MAG]])
+        return np.concatenate([(terms - measured) / error, np.diff(p, 2) / STIFFNESS_MAG, [p.mean() / MEAN_MAG]])
 
     response = curve(least_squares(misfit, np.zeros(len(CURVE_NM))).x)
     light = electrons_per_mm2(response, COLOUR_KNOTS)
@@ -87,9 +81,9 @@ def aperture_and_transmission(
 ) -> tuple[float, FloatArray]:
     """Diameter of the aperture [mm] and transmission (w,) at `WAVELENGTHS_NM` that give the measured zero point.
 
-    Frames determine the product of both: the aperture is the stated one, or the smallest that the light allows.
+    Frames determine their product: the aperture is the stated one, or the smallest of the highest transmission.
     """
-    # electrons of a star of G = 0 per exposure, over those per mm2 and s: aperture area times a factor on the response
+    # electrons of a star of G = 0 per exposure, over electrons per mm2 and s: aperture area times response factor
     area_mm2 = 10.0 ** (0.4 * zero_point_mag) / (response.electrons_per_mm2_s * exposure_s)
     correction = response.relative / efficiency
     if aperture_mm is None or area_mm2 * correction.max() > 0.25 * np.pi * aperture_mm**2:

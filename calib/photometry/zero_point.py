@@ -29,7 +29,7 @@ CLIP_SIGMA, ROUNDS = 4.0, 8
 START_SCATTER_MAG = 0.05
 LEAST_AIRMASS_RANGE = 0.1
 ZERO_POINT_FLOOR_MAG = 0.005
-"""Error of a frame's zero point that the atmosphere adds, for the weights of the extinction."""
+"""Error of a frame's zero point by the atmosphere, for the weights of the extinction."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,7 +85,7 @@ def fit_photometry(
     airmass : (frames,), optional
         Air mass of the middle of each frame.
     shape_error_mag : float
-        Error that all fluxes have in common, from the shape of the PSF.
+        Error common to all fluxes, from the shape of the PSF.
 
     Raises
     ------
@@ -137,7 +137,7 @@ def fit_photometry(
 def _design(
     colour: FloatArray, u2: FloatArray, frame: IntArray, frames: int, good: NDArray[np.bool_]
 ) -> tuple[FloatArray, NDArray[np.int64]]:
-    """Design matrix of the determined parameters, and which they are among frames, knots and two of vignetting."""
+    """Design matrix of the determined parameters, and their indices among frames, knots and two of vignetting."""
     hats = np.stack([np.interp(colour, COLOUR_KNOTS, row) for row in np.eye(len(COLOUR_KNOTS))], axis=1)
     design = np.column_stack([np.eye(frames)[frame], hats, u2, u2 * u2])
     with_stars = np.bincount(frame[good], minlength=frames) > 0
@@ -150,14 +150,14 @@ def _design(
 def _with_extinction(solution: PhotometricSolution, airmass: FloatArray | None) -> PhotometricSolution:
     """Solution with loss per air mass and zero point above the atmosphere, or with the mean zero point."""
     zero, error = solution.zero_point_mag, solution.zero_point_error_mag
-    known = np.isfinite(zero)
-    count = int(known.sum())
-    if airmass is None or count < 3 or np.ptp(airmass[known]) < LEAST_AIRMASS_RANGE:
+    finite = np.isfinite(zero)
+    count = int(finite.sum())
+    if airmass is None or count < 3 or np.ptp(airmass[finite]) < LEAST_AIRMASS_RANGE:
         spread = float(np.nanstd(zero, ddof=1)) if count > 1 else 0.0
         mean = float(np.nanmean(zero))
         return replace(solution, above_mag=mean, above_error_mag=spread / np.sqrt(max(count, 1)), frames=count)
-    x, y = airmass[known], zero[known]
-    weight = 1.0 / (error[known] ** 2 + ZERO_POINT_FLOOR_MAG**2)
+    x, y = airmass[finite], zero[finite]
+    weight = 1.0 / (error[finite] ** 2 + ZERO_POINT_FLOOR_MAG**2)
     design = np.stack([np.ones_like(x), -x], axis=1)
     inverse = np.linalg.inv(design.T @ (weight[:, None] * design))
     value = inverse @ (design.T @ (weight * y))
@@ -176,10 +176,7 @@ def _with_extinction(solution: PhotometricSolution, airmass: FloatArray | None) 
 def noiseless_zero_point(
     magnitude: FloatArray, colour: FloatArray, u2: FloatArray, flux_e: FloatArray
 ) -> tuple[float, float]:
-    """Zero point and loss at the corner [mag] by least squares, of stars near the reference colour without noise.
-
-    Shapes: all (n,), as of `fit_photometry`.
-    """
+    """Zero point and vignetting at the corner [mag] by least squares of noiseless stars (n,) near reference colour."""
     near = (np.abs(colour - 1.0) < 0.15) & (u2 < 0.9)
     value = magnitude[near] + 2.5 * np.log10(flux_e[near])
     design = np.column_stack([np.ones(near.sum()), colour[near] - 1.0, -u2[near], -(u2[near] ** 2)])
@@ -190,9 +187,9 @@ def noiseless_zero_point(
 def scatter_at(airmass: FloatArray, scatter_mag: FloatArray, at: float) -> float:
     """Photometric scatter [mag] at an air mass, from that of other frames (n,): linear in air mass, or their mean.
 
-    The mean is taken of fewer than four frames, of unknown air masses, and of a range below 0.1.
+    The mean of fewer than four frames, of unknown air masses, and of a range below 0.1.
     """
-    known = np.isfinite([*airmass, at]).all()
-    if known and len(airmass) >= 4 and np.ptp(airmass) > LEAST_AIRMASS_RANGE:
+    finite = np.isfinite([*airmass, at]).all()
+    if finite and len(airmass) >= 4 and np.ptp(airmass) > LEAST_AIRMASS_RANGE:
         return float(np.clip(np.polyval(np.polyfit(airmass, scatter_mag, 1), at), 0.0, 1.0))
     return float(np.mean(scatter_mag))

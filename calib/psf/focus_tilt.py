@@ -7,6 +7,7 @@ linear over the detector, z = z0 + a x + b y; diffraction and air add a width in
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,8 +15,9 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import least_squares
 
 from calib.measure.centroiding.registry import get_centroider
+from calib.measure.stamps import noiseless_stamps
 from calib.measure.statistics.robust import robust_rms
-from calib.records import NoiseModel, Stamps
+from calib.records import NoiseModel
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from render.records import EffectivePsf
@@ -24,9 +26,9 @@ WINDOW_PX = 11
 FEWEST_STARS = 30
 STEEPEST_RAD, WIDEST_BLUR_PX = 0.05, 3.0
 STARTS = np.linspace(-0.6, 0.6, 5)
-"""Start of the focus over the range that is searched."""
+"""Start of the focus over the search range."""
 SAME_MISFIT, SAME_FOCUS = 4.5, 0.1
-"""Chi-square per degree of freedom, and part of the range, within which a second focus fits equally well."""
+"""Chi-square per degree of freedom, and fraction of the range, within which a second focus fits equally well."""
 
 
 class DetectorPose(NamedTuple):
@@ -36,7 +38,7 @@ class DetectorPose(NamedTuple):
     value: FloatArray  # (4,) Defocus [mm], tilt about x and y of the lens [deg], width added in quadrature [px]
     sigma: FloatArray  # (4,) Standard deviations
     scatter: float  # Relative scatter of the widths about the fitted lens
-    scatter_before: float  # About the lens without shift, tilt and blur
+    scatter_before: float  # The same about the lens without shift, tilt and blur
     other_focus_mm: list[float]  # Further foci that fit equally well
 
 
@@ -50,20 +52,11 @@ def fit_detector_pose(
     centre_px: FloatArray,
     pitch_mm: float,
 ) -> DetectorPose:
-    """Focus and tilt from measured widths.
+    """Focus and tilt from the widths of Gaussian fits of stars, ``position_px`` (n, 2), ``width_px`` (n,).
 
-    Parameters
-    ----------
-    position_px, width_px : (n, 2), (n,)
-        Stars, and the width of their Gaussian fits.
-    shift_mm : (s,)
-        Shifts of the detector away from the lens at which the lens was rendered, symmetric about 0.
-    grid_px, grid_width_px : (g, 2), (s, g)
-        Positions on a regular grid, row by row, and widths of the lens's PSFs there (`gaussian_widths`).
-    centre_px : (2,)
-        Middle of the detector.
-    pitch_mm : float
-        Pixel pitch.
+    The lens was rendered at shifts of the detector away from it, ``shift_mm`` (s,), symmetric about 0:
+    ``grid_width_px`` (s, g) are widths of its PSFs (`gaussian_widths`) on a regular grid (g, 2), row by row;
+    ``centre_px`` (2,) is the middle of the detector.
 
     Raises
     ------
@@ -107,8 +100,9 @@ def fit_detector_pose(
     others = [float(z) for z in equal if abs(z - best.x[0]) > SAME_FOCUS * reach]
     scale = np.array([1.0, -np.degrees(1.0), -np.degrees(1.0), 1.0])  # slopes along y and x are tilts about x and y
     rows = [0, 2, 1, 3]
-    before = robust_rms(measured - model(np.zeros(4)))
-    return DetectorPose(len(measured), scale * best.x[rows], np.abs(scale) * sigma[rows], scatter, before, others)
+    scatter_before = robust_rms(measured - model(np.zeros(4)))
+    value, sigma = scale * best.x[rows], np.abs(scale) * sigma[rows]
+    return DetectorPose(len(measured), value, sigma, scatter, scatter_before, others)
 
 
 def gaussian_widths(psfs: Sequence[EffectivePsf]) -> FloatArray:
@@ -119,16 +113,10 @@ def gaussian_widths(psfs: Sequence[EffectivePsf]) -> FloatArray:
         fine = psf.oversampling
         start = len(psf.values) // 2 - (WINDOW_PX // 2) * fine - fine // 2
         i, j = np.divmod(np.arange(fine * fine), fine)
-        across = np.arange(WINDOW_PX) * fine + start
-        windows = psf.values[(i[:, None] + across)[:, :, None], (j[:, None] + across)[:, None, :]]
-        stamps = Stamps(
-            electrons=3e4 * windows + 100.0,
-            valid=np.ones(windows.shape, bool),
-            corner_px=np.zeros((len(i), 2), np.int64),
-            background_e=np.full(len(i), 100.0),
-            start_px=(fine // 2 - np.column_stack([j, i])) / fine + WINDOW_PX // 2,
-            flags=np.zeros(len(i), np.uint32),
-            psf_index=np.zeros(len(i), np.int64),
-        )
+        pixel = np.arange(WINDOW_PX) * fine + start
+        windows = psf.values[(i[:, None] + pixel)[:, :, None], (j[:, None] + pixel)[:, None, :]]
+        start_px = (fine // 2 - np.column_stack([j, i])) / fine + WINDOW_PX // 2
+        stamps = noiseless_stamps(3e4 * windows + 100.0, start_px=start_px)
+        stamps = replace(stamps, background_e=np.full(len(i), 100.0))
         widths.append(float(np.nanmean(centroider.measure(stamps, NoiseModel(read_noise_e=5.0)).width_px)))
     return np.array(widths)

@@ -1,9 +1,9 @@
 """A PSF over the field and colour: three Gaussians integrated over pixels, fitted at known positions.
 
-A star at its calibrated catalogue position cannot move, so that wings and core are determined. Core and halo are round
-and of the same width everywhere; the widths of the middle component change over the field (linear and quadratic) and
-between colour classes, and so does the fraction of the core. Flux and background of every star are eliminated (they
-are linear), the remaining parameters are common to all frames.
+Stars are fixed at their calibrated catalogue positions, which determines wings and core. Core and halo are round and of
+constant width; the widths of the middle component change over the field (linear and quadratic) and between colour
+classes, and so does the fraction of the core. Flux and background of every star are eliminated (they are linear), the
+other parameters are common to all frames.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ COLOUR_NAMES = ("below 4500 K", "4500 to 5500 K", "5500 to 7000 K", "above 7000 
 REFERENCE_CLASS = 1
 FEWEST_STARS, FEWEST_OF_A_CLASS = 25, 6
 MODEL_FRACTION = 0.02
-"""Of the light of a star in a pixel: what three Gaussians cannot describe, so that bright stars do not dominate."""
+"""Model error of a pixel, as a fraction of the light of the star in it: limits the weight of bright stars."""
 WIDEST_HALO = 0.25
-"""Largest width of the halo over the side of the window: a wider one would not be determined."""
+"""Largest width of the halo over the side of the window: a wider halo is not determined."""
 CLIP_SIGMA, ROUNDS = 8.0, 3
 COUNT = 18
 
@@ -48,7 +48,7 @@ class StarWindows:
     colour: IntArray  # (n,) `colour_class`
     frame: IntArray  # (n,)
     star: IntArray  # (n,) Row among the stars of its frame
-    level_dn: FloatArray  # (n,) That background
+    level_dn: FloatArray  # (n,) Subtracted background
     valid: NDArray[np.bool_]  # (n, s, s)
 
     def __len__(self) -> int:
@@ -69,7 +69,7 @@ class MixturePsf:
     # by x, y by y) and with the three colour classes that are not the reference; changes of the core's logarithm with
     # them
     value: FloatArray
-    covariance: FloatArray  # (18, 18) Scaled by the misfit; infinite where nothing was determined
+    covariance: FloatArray  # (18, 18) Scaled by the misfit; infinite for undetermined parameters
     chi2: float  # Per degree of freedom
 
     def __post_init__(self) -> None:
@@ -88,8 +88,8 @@ class MixturePsf:
         along_y = np.exp(v[4] + by_colour + v[7] * r2 + v[10] * u[:, 0] + v[11] * u[:, 1])
         core, halo = np.exp(v[2]) * ones, np.exp(v[5]) * ones
         inner, outer = np.exp(v[0] + np.insert(v[15:18], REFERENCE_CLASS, 0.0)[colour]), np.exp(v[1])
-        whole = 1.0 + inner + outer
-        return (inner / whole, core, core), (1.0 / whole, along_x, along_y), (outer / whole, halo, halo)
+        total = 1.0 + inner + outer
+        return (inner / total, core, core), (1.0 / total, along_x, along_y), (outer / total, halo, halo)
 
     def draw(self, offset_px: FloatArray, position_px: FloatArray, colour: IntArray, size: int) -> FloatArray:
         """Fraction of the light in each pixel (n, size, size) of windows about stars."""
@@ -101,20 +101,18 @@ class MixturePsf:
             out += fraction[:, None, None] * y[:, :, None] * x[:, None, :]
         return out
 
-    def effective(
-        self, position_px: FloatArray, colour: int, *, half_px: int = 6, oversampling: int = 4
-    ) -> EffectivePsf:
-        """The PSF at a position (2,) for a colour class, sampled finer than pixels."""
-        at = np.arange(-half_px * oversampling, half_px * oversampling + 1) / oversampling
+    def effective(self, position_px: FloatArray, colour: int, *, half_px: int = 6) -> EffectivePsf:
+        """The PSF at a position (2,) for a colour class, with four samples per pixel."""
+        at = np.arange(-4 * half_px, 4 * half_px + 1) / 4.0
         values = np.zeros((len(at), len(at)))
         for fraction, along_x, along_y in self.components(np.reshape(position_px, (1, 2)), np.array([colour])):
             x, y = (ndtr((at + 0.5) / s[0]) - ndtr((at - 0.5) / s[0]) for s in (along_x, along_y))
-            values += fraction[0] * y[:, None] * x[None, :]
-        return EffectivePsf(values=values, oversampling=oversampling)
+            values += fraction[0] * np.outer(y, x)
+        return EffectivePsf(values=values, oversampling=4)
 
     @property
     def flux_error(self) -> float:
-        """Relative error, common to all stars, of a flux by this shape: its parameters are uncertain."""
+        """Relative error, common to all stars, of a flux by the errors of the parameters."""
         middle = (np.asarray(self.size_px, float)[None] - 1.0) / 2.0
 
         def drawn(value: FloatArray) -> FloatArray:
@@ -144,24 +142,24 @@ def linear_fit(model: FloatArray, dn: FloatArray, weight: FloatArray) -> tuple[F
 
 
 class PsfFluxes(NamedTuple):
-    """Light of stars at known positions, of a window with the PSF."""
+    """Fluxes of stars at known positions by a PSF."""
 
     flux_dn: FloatArray  # (n,)
     error_dn: FloatArray  # (n,) Standard deviation: background and shot noise of the star
 
 
 def psf_fluxes(psf: MixturePsf, windows: StarWindows, variance_dn2: FloatArray, gain_e_per_dn: float) -> PsfFluxes:
-    """Fluxes with weights of the background alone: bright stars then do not depend on what the PSF misses in its core.
+    """Fluxes with weights of the background alone: those of bright stars are insensitive to errors of the core.
 
-    Shapes: ``variance_dn2`` (n,), of a background pixel of each window.
+    ``variance_dn2`` (n,): of a background pixel of each window.
     """
     shape = psf.draw(windows.offset_px, windows.position_px, windows.colour, windows.dn.shape[1])
     weight = np.where(windows.valid, 1.0 / variance_dn2[:, None, None], 0.0)
     flux, _, variance = linear_fit(shape, windows.dn, weight)
     # shot noise of the star itself, through the same weights
-    through = (shape**3 * weight).sum((1, 2)) / np.maximum((shape**2 * weight).sum((1, 2)), 1e-12) ** 2
-    through *= np.max(weight, axis=(1, 2))
-    return PsfFluxes(flux, np.sqrt(variance + np.maximum(flux, 0.0) / gain_e_per_dn * through))
+    shot = (shape**3 * weight).sum((1, 2)) / np.maximum((shape**2 * weight).sum((1, 2)), 1e-12) ** 2
+    shot *= np.max(weight, axis=(1, 2))
+    return PsfFluxes(flux, np.sqrt(variance + np.maximum(flux, 0.0) / gain_e_per_dn * shot))
 
 
 def fit_psf(
@@ -183,9 +181,9 @@ def fit_psf(
     noise_dn2 : (float, float)
         Variance of a pixel: constant [DN^2], and per DN.
     width_px : float
-        Typical width of a Gaussian fit, where the search begins.
+        Typical width of a Gaussian fit, as a start of the fit.
     start : (18,), optional
-        Parameters of a similar PSF, where it begins instead.
+        Parameters of a similar PSF, as a better start.
 
     Raises
     ------
@@ -203,15 +201,15 @@ def fit_psf(
     if start is not None:
         value[free] = start[free]
     low, high, prior = low[free], high[free], prior[free]
-    nothing = np.full((COUNT, COUNT), np.inf)
-    model = MixturePsf(size_px=size_px, value=value, covariance=nothing, chi2=float("nan"))
+    undetermined = np.full((COUNT, COUNT), np.inf)
+    model = MixturePsf(size_px=size_px, value=value, covariance=undetermined, chi2=float("nan"))
     sky = noise_dn2[0] + noise_dn2[1] * np.maximum(windows.level_dn, 1.0)[:, None, None]
     weight = np.where(windows.valid, 1.0 / sky, 0.0)
 
     def drawn(at: FloatArray) -> FloatArray:
-        whole = value.copy()
-        whole[free] = at
-        return replace(model, value=whole).draw(windows.offset_px, windows.position_px, windows.colour, size)
+        parameters = value.copy()
+        parameters[free] = at
+        return replace(model, value=parameters).draw(windows.offset_px, windows.position_px, windows.colour, size)
 
     def misfit(at: FloatArray) -> FloatArray:
         shape = drawn(at)
@@ -224,8 +222,8 @@ def fit_psf(
         flux, _, _ = linear_fit(shape, windows.dn, weight)
         light = np.maximum(flux, 0.0)[:, None, None] * shape
         weight = np.where(windows.valid, 1.0 / (sky + noise_dn2[1] * light + (MODEL_FRACTION * light) ** 2), 0.0)
-        begin = np.clip(value[free], low + 1e-6, high - 1e-6)
-        fit = least_squares(misfit, begin, bounds=(low, high), x_scale=0.05, xtol=1e-6)
+        inside = np.clip(value[free], low + 1e-6, high - 1e-6)
+        fit = least_squares(misfit, inside, bounds=(low, high), x_scale=0.05, xtol=1e-6)
         value[free] = fit.x
     freedom = int(windows.valid.sum()) - 2 * len(windows) - int(free.sum())
     chi2 = 2.0 * float(fit.cost) / freedom
@@ -235,7 +233,7 @@ def fit_psf(
 
 
 def _determined(windows: StarWindows) -> NDArray[np.bool_]:
-    """Parameters (18,) that a sample determines: changes need stars of the class, or many over the field."""
+    """Parameters (18,) determined by a sample: changes need stars of the class, or many over the field."""
     count = np.bincount(windows.colour, minlength=4)
     free = np.ones(COUNT, bool)
     free[12:15] = [n >= FEWEST_OF_A_CLASS for k, n in enumerate(count) if k != REFERENCE_CLASS]

@@ -1,4 +1,4 @@
-"""A measured lens from a camera's map, PSF and light as frames of stars show them."""
+"""A measured lens from the distortion, PSF and photometry of a camera in frames of stars."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from optics.response import Response
 VIGNETTING_NODES = 9
 REFERENCE_NM = 600.0
 FIELD_MARGIN = 1.05
-"""Half of the diagonal, over which the lens is declared as measured."""
+"""Radius of the measured field over half of the diagonal."""
 POWERS = {"q1_per_mm2": 2, "q2_per_mm4": 4, "q3_per_mm6": 6, "p1_per_mm": 1, "p2_per_mm": 1}
 
 
@@ -36,18 +36,9 @@ def lens_from_stars(
 ) -> tuple[MeasuredLens, FloatArray]:
     """Lens of a camera, and the colour terms (k,) [mag] of its response at the knots.
 
-    Parameters
-    ----------
-    camera, psf, light
-        As measured in the frames.
-    pitch_mm, exposure_s : float
-        Pixel pitch and exposure time: frames of stars determine angles per pixel and electrons per exposure only.
-    efficiency : (w,)
-        Quantum efficiency of the detector at `calib.photometry.spectral_response.WAVELENGTHS_NM`.
-    aperture_mm : float, optional
-        Diameter of the entrance pupil; the smallest that the light allows if left out.
-    name, source, date : str
-        As of `MeasuredLens`.
+    Frames of stars determine angles per pixel and electrons per exposure only: pixel pitch, exposure time and
+    ``efficiency`` (w,) at `calib.photometry.spectral_response.WAVELENGTHS_NM` are stated. The default aperture is the
+    smallest for a transmission below 1.
     """
     response = fit_response(light.colour_mag, light.colour_error_mag, efficiency)
     aperture, transmission = aperture_and_transmission(

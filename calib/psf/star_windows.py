@@ -1,4 +1,4 @@
-"""Windows about catalogue stars: isolated stars, pixels that belong to neighbours, pixels with light of any star."""
+"""Windows about catalogue stars: isolated stars, pixels of neighbours, pixels with light of any star."""
 
 from __future__ import annotations
 
@@ -13,26 +13,27 @@ from calib.measure.background import Background
 from calib.psf.gaussian_mixture import StarWindows
 from calib.records import SensorImage
 from optics.arrays import FloatArray, IntArray
+from optics.records import concatenated
 
 MASK_RADII = ((9.8, 3.0), (8.0, 5.0), (6.5, 8.0), (4.5, 14.0), (2.5, 30.0))
 """Radius [px] of the disk masked about a star brighter than a magnitude, for stars of width 0.65 px."""
 MASK_WIDTH_PX, DETECTION_RADIUS_PX = 0.65, 5.0
 NEIGHBOUR_MAG = 3.5
-"""A star is isolated if no star less than this much fainter lies within reach."""
+"""A star is isolated if no star brighter than this difference lies within reach."""
 REACH_PX = 9.0
-LINEAR_PART = 0.85
-"""Pixels above this part of the highest one of all frames may be full, though the converter is not at its end."""
+LINEAR_FRACTION = 0.85
+"""Of the highest pixel of all frames: brighter pixels may be at full well below the end of the converter."""
 FAINTER_MAG, NEIGHBOUR_PX = 1.5, 5.0
-"""Magnitudes below a sample's faintest star up to which pixels about stars are left out of the windows of others."""
+"""Neighbours up to this magnitude below the faintest star of a sample are masked within this radius."""
 
 
 def isolated(position_px: FloatArray, magnitude: FloatArray, reach_px: float = REACH_PX) -> NDArray[np.bool_]:
-    """Which of n stars at positions (n, 2), with magnitudes (n,), have no neighbour that matters."""
+    """Which of n stars at positions (n, 2), with magnitudes (n,), are isolated (`NEIGHBOUR_MAG`)."""
     near = cKDTree(position_px).query_pairs(reach_px, output_type="ndarray")
-    out = np.ones(len(position_px), bool)
+    mask = np.ones(len(position_px), bool)
     for star, other in (near.T, near.T[::-1]):
-        out[star[magnitude[other] < magnitude[star] + NEIGHBOUR_MAG]] = False
-    return out
+        mask[star[magnitude[other] < magnitude[star] + NEIGHBOUR_MAG]] = False
+    return mask
 
 
 def starlit_pixels(
@@ -49,15 +50,15 @@ def starlit_pixels(
     disks = [(star_px[magnitude < limit], radius) for limit, radius in MASK_RADII]
     if detected_px is not None:
         disks.append((detected_px, DETECTION_RADIUS_PX))
-    out = np.zeros(shape, bool)
+    starlit = np.zeros(shape, bool)
     for position, radius in disks:
-        at = np.rint(position[np.isfinite(position).all(axis=1)]).astype(np.int64)
-        at = at[(at[:, 0] >= 0) & (at[:, 0] < width) & (at[:, 1] >= 0) & (at[:, 1] < height)]
-        if len(at):
-            free = np.ones(shape, bool)
-            free[at[:, 1], at[:, 0]] = False
-            out |= distance_transform_edt(free) <= radius * grow
-    return out
+        x, y = np.rint(position[np.isfinite(position).all(axis=1)]).astype(np.int64).T
+        inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+        if inside.any():
+            dark = np.ones(shape, bool)
+            dark[y[inside], x[inside]] = False
+            starlit |= distance_transform_edt(dark) <= radius * grow
+    return starlit
 
 
 def star_windows(
@@ -71,23 +72,12 @@ def star_windows(
     size_px: int,
     defective: NDArray[np.bool_],
 ) -> StarWindows:
-    """Windows about isolated, unsaturated stars of some frames.
+    """Windows about isolated, unsaturated stars brighter than ``faintest_mag``; defective pixels are not valid.
 
-    Parameters
-    ----------
-    images, backgrounds : sequences
-        Frames and their backgrounds.
-    position_px, magnitude, colour : sequences of (n, 2), (n,), (n,)
-        Catalogue stars on each frame: position, magnitude, colour class.
-    faintest_mag : float
-        Stars are brighter.
-    size_px : int
-        Side of a window, odd.
-    defective : (h, w) bool
-        Pixels that are left out.
+    ``position_px``, ``magnitude``, ``colour``: sequences of (n, 2), (n,), (n,), catalogue stars of each frame.
     """
     half = size_px // 2
-    highest = LINEAR_PART * max(float(image.dn[image.valid & ~defective].max()) for image in images)
+    highest = LINEAR_FRACTION * max(float(image.dn[image.valid & ~defective].max()) for image in images)
     parts: list[StarWindows] = []
     for number, (image, background, position, mag) in enumerate(
         zip(images, backgrounds, position_px, magnitude, strict=True)
@@ -103,7 +93,7 @@ def star_windows(
         pixels = image.dn[at_y, at_x]
         linear = ~(image.saturated[at_y, at_x] | (pixels > highest)).any(axis=(1, 2))
         rows, middle, at_y, at_x, level = rows[linear], middle[linear], at_y[linear], at_x[linear], level[linear]
-        neighbours = _of_neighbours(position, rows, at_x, at_y, mag < faintest_mag + FAINTER_MAG)
+        neighbours = _neighbour_pixels(position, rows, at_x, at_y, mag < faintest_mag + FAINTER_MAG)
         parts.append(
             StarWindows(
                 dn=pixels[linear] - level[:, None, None],
@@ -116,14 +106,13 @@ def star_windows(
                 valid=image.valid[at_y, at_x] & ~defective[at_y, at_x] & ~neighbours,
             )
         )
-    fields = StarWindows.__dataclass_fields__
-    return StarWindows(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in fields})
+    return concatenated(parts)
 
 
-def _of_neighbours(
+def _neighbour_pixels(
     position_px: FloatArray, rows: IntArray, at_x: IntArray, at_y: IntArray, bright: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Pixels (n, s, s) nearer to another bright star than to their own, and reached by it."""
+    """Pixels (n, s, s) whose nearest bright star is not the star of the window, and within its reach."""
     others = np.flatnonzero(bright)
     x, y = np.broadcast_arrays(at_x, at_y)
     if not len(others) or not x.size:

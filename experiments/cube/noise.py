@@ -24,7 +24,7 @@ from calib.measure.targets.circle_noise import (
     light_offsets_px,
     rim_contour,
 )
-from calib.measure.targets.screen_circles import BESIDE_PX, EDGE_HALF_WIDTH_PX, RAYS, RIM_LEVEL, SPOKES
+from calib.measure.targets.screen_circles import EDGE_HALF_WIDTH_PX, RAYS, RIM_LEVEL, RIM_PX, SPOKES
 from experiments.cube.bench import Laboratory
 from experiments.cube.sensor import EXPOSURE_S, field_angles
 from optics.arrays import FloatArray
@@ -68,8 +68,8 @@ def of_detector_px2(laboratory: Laboratory, edge: Contour, full_e: float) -> flo
         light_e = brightness * full_e
         return float(noise.temporal_e2(light_e) + noise.response_e2(light_e)) + noise.offset_e**2
 
-    at_edge, at_rim = variance_e2(edge.brightness), variance_e2(edge.beside)
-    return centre_variance_px2(edge, full_e, SPOKES * RAYS, at_edge, at_rim, BESIDE_PX)
+    at_edge, at_rim = variance_e2(edge.brightness), variance_e2(edge.rim)
+    return centre_variance_px2(edge, full_e, SPOKES * RAYS, at_edge, at_rim, RIM_PX)
 
 
 def picture_noise(laboratory: Laboratory) -> PictureNoise:
@@ -80,15 +80,15 @@ def picture_noise(laboratory: Laboratory) -> PictureNoise:
     radius = np.arange(0.5 * hole, hole + lean + 25.0, 0.25)
     spot = rim_contour(spot_profile(geometry, radius * pitch), radius, hole, EDGE_HALF_WIDTH_PX["spot"], RIM_LEVEL)
     half = EDGE_HALF_WIDTH_PX["hole"]
-    step, beside = blurred_step_slope(blur, half), float(spot_profile(geometry, [(hole + 1.0) * pitch])[0])
-    own = Contour(radius=hole, slope=step * beside, brightness=beside / 2, half=half, beside=beside)
+    step, rim = blurred_step_slope(blur, half), float(spot_profile(geometry, [(hole + 1.0) * pitch])[0])
+    own = Contour(radius=hole, slope=step * rim, brightness=rim / 2, half=half, rim=rim)
     aperture = Contour(radius=hole, slope=step, brightness=0.5, half=EDGE_HALF_WIDTH_PX["aperture"])
     of_spot, of_hole = (of_detector_px2(laboratory, edge, laboratory.config.camera.plateau_e) for edge in (spot, own))
     of_aperture = of_detector_px2(laboratory, aperture, float(np.percentile(laboratory.aperture_e, 99.0)))
     detector2 = np.array([of_spot + of_aperture, of_spot + of_hole])
     log2_particles = laboratory.config.benches.log2_particles
     nets = (landing_points_px(hole, lean, log2_particles, seed) for seed in range(NETS))
-    offsets = np.array([light_offsets_px(*net, spot, own, blur, SPOKES * RAYS, BESIDE_PX) for net in nets])
+    offsets = np.array([light_offsets_px(*net, spot, own, blur, SPOKES * RAYS, RIM_PX) for net in nets])
     whole, detector = np.sqrt([detector2 + np.mean(offsets**2, axis=(0, 2)), detector2]).tolist()
     return PictureNoise(two_px=whole[0], own_px=whole[1], two_detector_px=detector[0], own_detector_px=detector[1])
 

@@ -224,7 +224,7 @@ def evaluate(folder: Path, scene: DatasetScene, records: Sequence[FrameRecord], 
         if not (config.instrument.line_time_us and any(record.rate_deg_per_s)):  # else the attitude differs by row
             misses.append(wcs_misses_px(folder / record.file, truth, **size))
         if not solver.missing:
-            solved.append(solver.solve(record, measured.at_once(solver.turned(record, measured))))
+            solved.append(solver.solve(record, measured.at_positions(solver.turned(record, measured))))
         if example is None and record.stars:
             light = (frame.dn - dark) / np.float32(frame.gain_dn_per_e)
             example = Example(frame=record.frame, electrons=light, measured=measured, truth=truth)

@@ -31,7 +31,7 @@ def _profile(size: int, centre: FloatArray, sigma: FloatArray) -> tuple[FloatArr
 
 
 class GaussianModel:
-    """`scoring.PixelModel` with parameters x, y, flux, ln(sigma_x), ln(sigma_y)."""
+    """`PixelModel` with parameters x, y, flux, ln(sigma_x), ln(sigma_y)."""
 
     def __init__(self, window: tuple[int, int], sigma_px: float | None = None) -> None:
         self.window = window
@@ -39,7 +39,7 @@ class GaussianModel:
         self.max_step = np.array([0.5, 0.5, np.inf] + [0.3, 0.3] * (sigma_px is None))
 
     def prior(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-        """Slope and negative curvature of the prior of free widths, see `scoring.PixelModel`."""
+        """Slope and negative curvature of the prior of free widths, see `PixelModel`."""
         if self.sigma_px is not None:
             return None
         narrow = np.maximum(np.log(WIDTH_PRIOR_PX) - parameters[:, LN_SIGMA_X:], 0.0)
@@ -51,7 +51,7 @@ class GaussianModel:
         return slope, curvature
 
     def evaluate(self, parameters: FloatArray, rows: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
-        """Signal and derivatives, see `scoring.PixelModel`."""
+        """Signal and derivatives, see `calib.measure.centroiding.maximum_likelihood.PixelModel`."""
         n = len(rows)
         if self.sigma_px is None:
             sigma = np.exp(np.clip(parameters[:, LN_SIGMA_X : LN_SIGMA_Y + 1], -LN_SIGMA_LIMIT, LN_SIGMA_LIMIT))

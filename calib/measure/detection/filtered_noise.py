@@ -1,8 +1,8 @@
 """Noise of a real image after the detection filter, and the resulting false detections.
 
 Pixels of real cameras are neither independent nor normal: demosaicing and compression correlate neighbours, a black
-level above the darkest noise clips it at zero, some amplifiers have tails. The noise of one pixel then says little
-about the filtered image in which stars are detected. Here it is measured in the filtered image, from quantiles of its
+level above the darkest noise clips it at zero, some amplifiers have tails. The noise of a pixel does not determine that
+of the filtered image in which stars are detected. It is measured in the filtered image, from quantiles of its
 signal-to-noise ratio s (in units of white noise) against normal quantiles z. From -1.5 to 1.5, where few stars are,
 
     s(z) = offset + scale z.
@@ -23,20 +23,18 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from calib.measure.background import grown
-from calib.measure.detection.false_alarms import HIGHEST, LOWEST, kernel_correlation, maxima_per_pixel
+from calib.measure.detection.false_alarms import kernel_correlation, maxima_per_pixel, solve_threshold
 from optics.arrays import FloatArray
-from optics.errors import DomainError
 
 CENTRE_Z, LOW_Z, FIRST_Z, HIGH_Z, LINEAR_FROM_Z = 1.5, 0.3, 2.0, 2.6, 3.5
 """Normal quantiles: of the fit of normal noise, of skewed noise before and after stars are left out, of its tangent."""
 STAR_Z, STAR_PX = 5.0, 4
 """Limit [sigma] above which pixels, with a margin [px], are left out of the fit of skewed noise."""
 SKEWED, CUT_OFF = 0.03, 0.005
-"""Curvature over scale, and share of pixels with the lowest number, from which noise is skewed."""
+"""Curvature over scale, and fraction of pixels with the lowest number, above which noise is skewed."""
 FEWEST_PIXELS = 4000
 SPREAD = np.array([1.6, 1.0, 0.75])
 """RMS deviation of offset, scale and curvature from their values in white noise, times the root of the number of
@@ -52,17 +50,14 @@ class FilteredNoise:
     offset: float = 0.0
     scale: float = 1.0
     curvature: float = 0.0
-    correlation_x: tuple[float, float]  # Of filtered pixels one and two columns apart
-    correlation_y: tuple[float, float]  # One and two rows apart
-    pixel_correlation: tuple[float, float] = (
-        0.0,
-        0.0,
-    )  # Of pixels next to each other, along x and y, before the filter
+    correlation_x: tuple[float, float]  # Of filtered pixels at distances of 1 and 2 columns
+    correlation_y: tuple[float, float]  # Of 1 and 2 rows
+    pixel_correlation: tuple[float, float] = (0.0, 0.0)  # Of neighbours along x and y, before the filter
     pixels: int  # Of the image
 
     @property
     def white(self) -> bool:
-        """Whether nothing speaks against independent normal noise."""
+        """Whether the noise is compatible with independent normal noise."""
         return (self.offset, self.scale, self.curvature) == (0.0, 1.0, 0.0)
 
     def limit(self, sigma: ArrayLike) -> FloatArray:
@@ -70,22 +65,12 @@ class FilteredNoise:
         return _limit((self.curvature, self.scale, self.offset), sigma)
 
     def false_alarms(self, threshold_sigma: ArrayLike) -> FloatArray:
-        """Expected number of detections per image that noise alone makes."""
-        threshold = np.asarray(threshold_sigma, np.float64)
-        return np.asarray(self.pixels * maxima_per_pixel(threshold, self.correlation_x, self.correlation_y))
+        """Expected number of detections by noise alone per image."""
+        return np.asarray(self.pixels * maxima_per_pixel(threshold_sigma, self.correlation_x, self.correlation_y))
 
     def threshold(self, count: float) -> float:
         """Threshold [sigma] with an expected number of false detections per image."""
-
-        def excess(threshold: float) -> float:
-            return float(np.log(max(float(self.false_alarms(threshold)), 1e-300) / count))
-
-        if not count > 0.0 or excess(LOWEST) < 0.0 or excess(HIGHEST) > 0.0:
-            most = float(self.false_alarms(LOWEST))
-            raise DomainError(
-                f"{count:g} false detections per image of {self.pixels} px; it must lie between 0 and {most:.3g}"
-            )
-        return float(brentq(excess, LOWEST, HIGHEST, xtol=1e-6))
+        return solve_threshold(lambda threshold: float(self.false_alarms(threshold)), count, self.pixels)
 
     def __str__(self) -> str:
         x, y = self.pixel_correlation
@@ -105,19 +90,19 @@ def measure_noise(
     pixel: FloatArray | None = None,
     cut_off: bool = False,
 ) -> FilteredNoise:
-    """Noise of a filtered image; white where too few pixels are left to tell, or nothing speaks against it.
+    """Noise of a filtered image; white for too few pixels, or where the deviation is not significant.
 
-    Shapes: ``signal_to_noise`` (h, w), filtered image over the noise that it would have, were the pixels independent;
-    ``valid`` (h, w); ``pixel`` (h, w), image without background before the filter, for ``pixel_correlation``.
-    ``cut_off``: many pixels have the lowest number there is, so that the noise is skewed.
+    Shapes: ``signal_to_noise`` (h, w), filtered image over its noise for independent pixels; ``valid`` (h, w);
+    ``pixel`` (h, w), image without background before the filter, for ``pixel_correlation``. ``cut_off``: many pixels
+    have the lowest number of the converter, so that the noise is skewed.
     """
     pixels = int(np.count_nonzero(valid))
-    own = kernel_correlation(fwhm_px)
+    white = kernel_correlation(fwhm_px)
     border = int(np.ceil(2.0 * fwhm_px))
     inner = (slice(border, -border), slice(border, -border))
     ratio, usable = signal_to_noise[inner], valid[inner]
     if np.count_nonzero(usable) < FEWEST_PIXELS:
-        return FilteredNoise(correlation_x=own, correlation_y=own, pixels=pixels)
+        return FilteredNoise(correlation_x=white, correlation_y=white, pixels=pixels)
     step = max(1, round(0.8 * fwhm_px))
     thin = (slice(None, None, step), slice(None, None, step))
     spread = SURE * SPREAD * fwhm_px / np.sqrt(pixels)
@@ -130,10 +115,10 @@ def measure_noise(
         low, high = (LOW_Z, HIGH_Z) if skewed else (-CENTRE_Z, CENTRE_Z)
         shape = _parabola(ratio[thin][quiet[thin]], low, high)
     curvature, scale, offset = shape if skewed else (0.0, *shape[1:])
-    if not skewed and scale < 1.0 + spread[1]:  # less than white, as of pixels of unlike noise, is not taken for less
+    if not skewed and scale < 1.0 + spread[1]:  # below white, as of pixels of unequal noise, counts as white
         scale, offset = 1.0, 0.0
-    along = [
-        own if scale == 1.0 else (_correlation(ratio, quiet, axis, 1), _correlation(ratio, quiet, axis, 2))
+    filtered = [
+        white if scale == 1.0 else (_correlation(ratio, quiet, axis, 1), _correlation(ratio, quiet, axis, 2))
         for axis in (1, 0)
     ]
     faint = quiet & (ratio < _limit((curvature, scale, offset), 3.0))
@@ -142,8 +127,8 @@ def measure_noise(
         offset=offset,
         scale=scale,
         curvature=curvature,
-        correlation_x=along[0],
-        correlation_y=along[1],
+        correlation_x=filtered[0],
+        correlation_y=filtered[1],
         pixel_correlation=(pair[0], pair[1]),
         pixels=pixels,
     )
@@ -161,17 +146,16 @@ def _parabola(ratio: FloatArray, low: float, high: float) -> tuple[float, float,
 
 def _limit(shape: tuple[float, float, float], z: ArrayLike) -> FloatArray:
     curvature, scale, offset = shape
-    far = np.asarray(z, np.float64)
-    near = np.minimum(far, LINEAR_FROM_Z)
-    return np.asarray(offset + scale * near + curvature * near**2 + (scale + 2.0 * curvature * near) * (far - near))
+    z = np.asarray(z, np.float64)
+    bent = np.minimum(z, LINEAR_FROM_Z)
+    return np.asarray(offset + scale * bent + curvature * bent**2 + (scale + 2.0 * curvature * bent) * (z - bent))
 
 
-def _correlation(image: FloatArray, usable: NDArray[np.bool_], axis: int, apart: int) -> float:
-    """Of pixels ``apart`` along an axis, where both are usable; of some 250 lines, which is enough."""
+def _correlation(image: FloatArray, usable: NDArray[np.bool_], axis: int, distance: int) -> float:
+    """Correlation of usable pixels at a distance along an axis, from some 250 lines."""
     every = max(1, image.shape[1 - axis] // 250)
-    lines = np.moveaxis(image, axis, -1)[::every], np.moveaxis(usable, axis, -1)[::every]
-    both = lines[1][:, :-apart] & lines[1][:, apart:]
+    values, mask = np.moveaxis(image, axis, -1)[::every], np.moveaxis(usable, axis, -1)[::every]
+    both = mask[:, :-distance] & mask[:, distance:]
     if np.count_nonzero(both) < FEWEST_PIXELS // 4:
         return 0.0
-    left, right = lines[0][:, :-apart][both], lines[0][:, apart:][both]
-    return float(np.clip(np.corrcoef(left, right)[0, 1], -0.95, 0.98))
+    return float(np.clip(np.corrcoef(values[:, :-distance][both], values[:, distance:][both])[0, 1], -0.95, 0.98))

@@ -1,4 +1,4 @@
-"""Footprints of stars: rectangles that hold their spots on the pixels, and what lies in them.
+"""Footprints of stars: rectangles that contain their spots on the pixels; flags in them, overlaps.
 
 A footprint reaches 3 standard deviations of the spot and half a pixel from the photon centroid; the variance of the
 spot is that of the rays, of the charge diffusion and of a pixel (1/12).
@@ -28,21 +28,17 @@ def footprint_bits(centre_px: FloatArray, half_px: FloatArray, bits: NDArray[np.
     size = np.array([[bits.shape[1]], [bits.shape[0]]])
     low = np.clip(np.ceil(centre_px - half_px), 0, size).astype(np.int64)
     high = np.clip(np.floor(centre_px + half_px) + 1, 0, size).astype(np.int64)
-    footprint = np.zeros(centre_px.shape[1], np.int32)
-    either = np.bitwise_or.reduce
-    for i, (x0, y0, x1, y1) in enumerate(zip(*low.tolist(), *high.tolist(), strict=True)):
-        if x1 > x0 and y1 > y0:
-            footprint[i] = either(bits[y0:y1, x0:x1], axis=None)
-    return footprint
+    corners = zip(*low.tolist(), *high.tolist(), strict=True)
+    return np.array([np.bitwise_or.reduce(bits[y0:y1, x0:x1], axis=None) for x0, y0, x1, y1 in corners], np.int32)
 
 
 def overlapping(centre_px: FloatArray, half_px: FloatArray, electrons: FloatArray, fraction: float) -> IntArray:
     """Stars (indices) whose footprint meets that of a star with at least a fraction of their electrons (n,)."""
-    if centre_px.shape[1] < 2:
+    if not centre_px.size:
         return np.zeros(0, np.int64)
     reach = 2.0 * float(np.hypot(*half_px.max(axis=1)))
     first, second = cKDTree(centre_px.T).query_pairs(reach, output_type="ndarray").T
-    meet = (np.abs(centre_px[:, first] - centre_px[:, second]) <= half_px[:, first] + half_px[:, second]).all(0)
-    first, second = first[meet], second[meet]
+    overlap = (np.abs(centre_px[:, first] - centre_px[:, second]) <= half_px[:, first] + half_px[:, second]).all(0)
+    first, second = first[overlap], second[overlap]
     ratio = electrons[second] / electrons[first]
     return np.asarray(np.unique(np.concatenate([first[ratio >= fraction], second[ratio <= 1.0 / fraction]])))

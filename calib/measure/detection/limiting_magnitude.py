@@ -1,4 +1,4 @@
-"""Completeness of detections against a catalogue: detected stars and fractions, limiting magnitude, clouded parts."""
+"""Completeness of detections against a catalogue: detected stars and fractions, limiting magnitude, clouds."""
 
 from __future__ import annotations
 
@@ -12,27 +12,26 @@ from optics.arrays import FloatArray, IntArray
 CANDIDATES = 6
 START_WIDTH_MAG = 0.15
 TILES, CLOUD_TILES = 5, 3
-FEWEST_EXPECTED, CLOUDED_PART = 5, 0.5
+FEWEST_EXPECTED, CLOUDED_FRACTION = 5, 0.5
 
 
 def detected_stars(
     star_px: FloatArray, detection_px: FloatArray, significance: FloatArray, radius_px: float
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Significance of every catalogue star (n,), 0 if not detected, and detections (m,) that are none of them.
+    """Significance of every catalogue star (n,), 0 if not detected, and detections (m,) of no catalogue star.
 
-    A detection is the brightest star within the radius.
+    A detection is attributed to the brightest star within the radius.
 
     Shapes: ``star_px`` (n, 2), the brightest first; ``detection_px`` (m, 2), ``significance`` (m,).
     """
-    height = np.zeros(len(star_px))
+    of_star = np.zeros(len(star_px))
     if not len(detection_px) or not len(star_px):
-        return height, np.ones(len(detection_px), bool)
-    distance, nearest = cKDTree(star_px).query(detection_px, k=min(CANDIDATES, len(star_px)))
-    distance, nearest = (array.reshape(len(detection_px), -1) for array in (distance, nearest))
+        return of_star, np.ones(len(detection_px), bool)
+    distance, nearest = cKDTree(star_px).query(detection_px, k=np.arange(1, min(CANDIDATES, len(star_px)) + 1))
     star = np.where(distance < radius_px, nearest, len(star_px)).min(axis=1)
-    known = star < len(star_px)
-    np.maximum.at(height, star[known], significance[known])
-    return height, ~known
+    matched = star < len(star_px)
+    np.maximum.at(of_star, star[matched], significance[matched])
+    return of_star, ~matched
 
 
 def limiting_magnitude(magnitude: FloatArray, detected: NDArray[np.bool_]) -> float:
@@ -74,7 +73,7 @@ def clouded_fraction(shape: tuple[int, ...], expected_px: FloatArray, detected: 
     expected = _counts(expected_px, shape, CLOUD_TILES)
     present = _counts(expected_px[np.asarray(detected, bool)], shape, CLOUD_TILES)
     judged = expected >= FEWEST_EXPECTED
-    return float((present[judged] < CLOUDED_PART * expected[judged]).mean()) if judged.any() else 0.0
+    return float((present[judged] < CLOUDED_FRACTION * expected[judged]).mean()) if judged.any() else 0.0
 
 
 def _counts(position_px: FloatArray, shape: tuple[int, ...], tiles: int) -> FloatArray:

@@ -12,10 +12,11 @@ from skimage.measure import label
 from calib.flags import StarFlag
 from calib.measure.background import Background, estimate_background
 from calib.measure.centroiding.moments import FWHM_PER_SIGMA
+from calib.measure.detection.false_alarms import filter_kernel
 from calib.measure.detection.filtered_noise import CUT_OFF, FilteredNoise, measure_noise
 from calib.measure.detection.trails import trail_members
 from calib.measure.images.sensor_image import as_image
-from calib.measure.stamps import parabola_peak
+from calib.measure.stamps import subpixel_peaks
 from calib.records import FLUX, SensorImage, StarTable, X, Y
 from optics.arrays import FloatArray
 from optics.errors import DomainError
@@ -35,11 +36,11 @@ def detect(
     """Stars of an image, brightest first.
 
     The image without background is filtered with a Gaussian of the expected width; a star is a local maximum of the
-    filtered signal-to-noise ratio above ``threshold_sigma``, which is as rare in the noise that the filtered image
-    shows (`detection_noise`: correlated, cut off at zero) as in normal noise. Several maxima in one connected region
-    are several stars and flagged ``BLEND``, except where the region is saturated: there the highest stands for all.
-    Positions (vertex of a parabola through the filtered maximum) and fluxes (amplitude of the matched Gaussian) are
-    starting values for a centroider, good to about 0.1 px and 10 %.
+    filtered signal-to-noise ratio above ``threshold_sigma``, which is as rare in the noise of the filtered image
+    (`detection_noise`: correlated, cut off at zero) as in normal noise. Maxima of a connected region are stars flagged
+    ``BLEND``, except in a saturated region, of which only the highest is kept. Positions (vertex of a parabola through
+    the filtered maximum) and fluxes (amplitude of the matched Gaussian) are starting values for a centroider, accurate
+    to about 0.1 px and 10 %.
 
     Parameters
     ----------
@@ -52,8 +53,8 @@ def detect(
     fwhm_px : float
         Full width at half maximum of the filter, 0.5 to 20 px.
     spike_fraction : float
-        Share of a 3 x 3 box in its central pixel above which the object is too sharp for a star and flagged ``SPIKE``
-        (a star of sigma 0.5 px reaches 0.52).
+        Fraction of the light of a 3 x 3 box in its brightest pixel above which the object is too sharp for a star and
+        flagged ``SPIKE`` (a star of sigma 0.5 px reaches 0.52).
     max_stars : int, optional
         Keep only the brightest.
     noise : FilteredNoise, optional
@@ -81,31 +82,27 @@ def detect(
     elif background.shape != image.dn.shape:
         raise DomainError(f"background has shape {background.shape} px, the image {image.dn.shape}; they must agree")
     search = _Search(image, background, fwhm_px)
-    filtered, signal_to_noise = search.filtered, search.signal_to_noise
+    signal_to_noise = search.signal_to_noise
     if noise is None:
         noise = search.noise()
     bright = signal_to_noise > noise.limit(threshold_sigma)
     y, x = _local_maxima(signal_to_noise, bright)
     if not len(x):
         return StarTable.empty()
-    regions = label(bright, connectivity=2)
     keep, flags = _flag_maxima(
-        image, light=search.light, regions=regions, filtered=filtered, x=x, y=y, spike_fraction=spike_fraction
-    )
-    x, y, flags = x[keep], y[keep], flags[keep]
-    order = np.argsort(-filtered[y, x], kind="stable")[:max_stars]
-    x, y, flags = x[order], y[order], flags[order]
-    flags[trail_members(signal_to_noise / noise.scale, x, y)] |= int(StarFlag.TRAIL)
-    return _table(
-        filtered,
-        level=search.level,
-        sigma=search.sigma,
-        power=search.power,
-        width=fwhm_px / FWHM_PER_SIGMA,
+        image,
+        light=search.light,
+        regions=label(bright, connectivity=2),
+        filtered=search.filtered,
         x=x,
         y=y,
-        flags=flags,
+        spike_fraction=spike_fraction,
     )
+    x, y, flags = x[keep], y[keep], flags[keep]
+    order = np.argsort(-search.filtered[y, x], kind="stable")[:max_stars]
+    x, y, flags = x[order], y[order], flags[order]
+    flags[trail_members(signal_to_noise / noise.scale, x, y)] |= int(StarFlag.TRAIL)
+    return search.table(x, y, flags)
 
 
 def detection_noise(
@@ -133,7 +130,7 @@ def detection_noise(
 
 
 class _Search:
-    """An image without background, filtered, in units of what the noise of pixels would be were it white."""
+    """An image without background, filtered, and over the noise that white pixel noise would have."""
 
     def __init__(self, image: SensorImage, background: Background, fwhm_px: float) -> None:
         self.fwhm_px, self.valid = fwhm_px, image.valid & ~image.saturated
@@ -141,10 +138,8 @@ class _Search:
         numbers = image.dn[self.valid]
         self.cut_off = bool(numbers.size and np.mean(numbers == numbers.min()) > CUT_OFF)
         self.light = np.where(image.valid, image.noise.to_electrons(image.dn) - self.level, 0.0)
-        width = fwhm_px / FWHM_PER_SIGMA
-        self.filtered = gaussian_filter(self.light, width, mode="constant")
-        kernel = gaussian_filter(_delta(fwhm_px), width, mode="constant")
-        self.power = float(np.sum(kernel**2))
+        self.filtered = gaussian_filter(self.light, fwhm_px / FWHM_PER_SIGMA, mode="constant")
+        self.power = float(np.sum(filter_kernel(fwhm_px) ** 2))
         self.signal_to_noise = self.filtered / (self.sigma * np.sqrt(self.power))
 
     def noise(self) -> FilteredNoise:
@@ -153,25 +148,29 @@ class _Search:
             self.signal_to_noise, self.valid, fwhm_px=self.fwhm_px, pixel=self.light, cut_off=self.cut_off
         )
 
-
-def _delta(fwhm_px: float) -> FloatArray:
-    """A unit impulse in a window large enough for the filter."""
-    half = int(np.ceil(2.0 * fwhm_px)) + 1
-    delta = np.zeros((2 * half + 1, 2 * half + 1))
-    delta[half, half] = 1.0
-    return delta
+    def table(self, x: NDArray[np.int64], y: NDArray[np.int64], flags: NDArray[np.uint32]) -> StarTable:
+        """Stars at maxima of the filtered image."""
+        flux = self.filtered[y, x] / self.power
+        variance_flux = self.sigma[y, x] ** 2 / self.power + flux
+        width = self.fwhm_px / FWHM_PER_SIGMA
+        covariance = np.zeros((len(x), 3, 3))
+        # matched Gaussian in white noise: sigma_x = sqrt(2) width sigma_flux / flux (Fisher information of its shift)
+        covariance[:, X, X] = covariance[:, Y, Y] = 2.0 * width**2 * variance_flux / flux**2
+        covariance[:, FLUX, FLUX] = variance_flux
+        x_px, y_px = subpixel_peaks(self.filtered[None], 0, x, y)
+        return StarTable(
+            x_px=x_px, y_px=y_px, flux_e=flux, background_e=self.level[y, x], covariance=covariance, flags=flags
+        )
 
 
 def _local_maxima(values: FloatArray, candidates: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows and columns of candidates that no neighbour exceeds; of equal neighbours the first in the raster stands."""
-    height, width = values.shape
+    """Rows and columns of candidates that no neighbour exceeds; of equal neighbours the first in the raster is kept."""
+    padded = np.pad(values, 1, constant_values=-np.inf)
     y, x = np.nonzero(candidates)
-    here, keep = values[y, x], np.ones(len(y), bool)
-    for step_y, step_x in ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)):
-        at_y, at_x = y + step_y, x + step_x
-        inside = (at_y >= 0) & (at_y < height) & (at_x >= 0) & (at_x < width)
-        there = np.where(inside, values[np.clip(at_y, 0, height - 1), np.clip(at_x, 0, width - 1)], -np.inf)
-        keep &= (here > there) if (step_y, step_x) < (0, 0) else (here >= there)
+    peak, keep = values[y, x], np.ones(len(y), bool)
+    for step in ((0, 0), (0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1), (2, 2)):
+        neighbour = padded[y + step[0], x + step[1]]
+        keep &= (peak > neighbour) if step < (1, 1) else (peak >= neighbour)
     return y[keep], x[keep]
 
 
@@ -194,10 +193,10 @@ def _flag_maxima(
     region_saturated[0] = False
     flags[(maxima_per_region[region] > 1) & ~region_saturated[region]] |= int(StarFlag.BLEND)
     flags[region_saturated[region]] |= int(StarFlag.SATURATED)
-    best = np.full(len(maxima_per_region), -1)
+    highest = np.full(len(maxima_per_region), -1)
     rising = np.argsort(filtered[y, x], kind="stable")
-    best[region[rising]] = rising  # the highest maximum of each region is written last
-    keep = ~region_saturated[region] | (best[region] == np.arange(len(x)))
+    highest[region[rising]] = rising  # the highest maximum of each region is written last
+    keep = ~region_saturated[region] | (highest[region] == np.arange(len(x)))
     near_y = np.clip(y[:, None] + np.arange(-1, 2), 0, height - 1)[:, :, None]
     near_x = np.clip(x[:, None] + np.arange(-1, 2), 0, width - 1)[:, None, :]
     box = light[near_y, near_x]
@@ -207,36 +206,3 @@ def _flag_maxima(
     border = (x == 0) | (y == 0) | (x == width - 1) | (y == height - 1)
     flags[border] |= int(StarFlag.EDGE)
     return keep, flags
-
-
-def _table(
-    filtered: FloatArray,
-    *,
-    level: FloatArray,
-    sigma: FloatArray,
-    power: float,
-    width: float,
-    x: NDArray[np.int64],
-    y: NDArray[np.int64],
-    flags: NDArray[np.uint32],
-) -> StarTable:
-    high_y, high_x = filtered.shape[0] - 1, filtered.shape[1] - 1
-    peak = filtered[y, x]
-    dx = parabola_peak(filtered[y, np.maximum(x - 1, 0)], peak, filtered[y, np.minimum(x + 1, high_x)])
-    dy = parabola_peak(filtered[np.maximum(y - 1, 0), x], peak, filtered[np.minimum(y + 1, high_y), x])
-    flux = peak / power
-    variance_flux = sigma[y, x] ** 2 / power + flux
-    covariance = np.zeros((len(x), 3, 3))
-    # matched Gaussian in white noise: sigma_x = sqrt(2) width sigma_flux / flux (Fisher information of its shift)
-    covariance[:, X, X] = covariance[:, Y, Y] = 2.0 * width**2 * variance_flux / flux**2
-    covariance[:, FLUX, FLUX] = variance_flux
-    return StarTable(
-        x_px=x + dx,
-        y_px=y + dy,
-        flux_e=flux,
-        background_e=level[y, x],
-        covariance=covariance,
-        chi2=np.full(len(x), np.nan),
-        iterations=np.zeros(len(x), np.int64),
-        flags=flags,
-    )

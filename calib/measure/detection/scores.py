@@ -1,4 +1,4 @@
-"""Detections against true positions: pairs, robust errors, and limits that a sample allows."""
+"""Detections against true positions: pairs, and limits that a sample allows."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Pairs(NamedTuple):
 
     detection: IntArray  # (n,) Detection of each star, -1 for none
     star: IntArray  # (m,) Nearest star of each detection, -1 without stars
-    distance_px: FloatArray  # (m,) And its distance; infinite without stars
+    distance_px: FloatArray  # (m,) Its distance; infinite without stars
 
 
 def nearest_pairs(star_px: FloatArray, detected_px: FloatArray, radius_px: ArrayLike) -> Pairs:
@@ -26,23 +26,20 @@ def nearest_pairs(star_px: FloatArray, detected_px: FloatArray, radius_px: Array
     if not stars or not count:
         return Pairs(np.full(stars, -1), np.full(count, -1), np.full(count, np.inf))
     distance, nearest = cKDTree(detected_px).query(star_px)
-    distance_back, back = cKDTree(star_px).query(detected_px)
-    mutual = (back[nearest] == np.arange(stars)) & (distance <= radius_px)
-    return Pairs(np.where(mutual, nearest, -1), back, distance_back)
+    star_distance, nearest_star = cKDTree(star_px).query(detected_px)
+    mutual = (nearest_star[nearest] == np.arange(stars)) & (distance <= radius_px)
+    return Pairs(np.where(mutual, nearest, -1), nearest_star, star_distance)
 
 
 def robust_ratio_limit(count: int, margin: float, false_alarm: float) -> tuple[float, float]:
-    """Uncertainty of the ratio of a robust scatter of 2 n values to their true one, and its upper limit.
-
-    The median absolute deviation tells the standard deviation to 1.166 / sqrt(2 n) of it; the limit is exceeded with
-    the probability ``false_alarm`` by a ratio of ``margin``.
-    """
+    """Relative standard error 1.166 / sqrt(2 n) of a robust scatter of 2 n values, and the limit that a ratio of
+    ``margin`` to the true scatter exceeds with the probability ``false_alarm``."""
     spread = 1.166 / float(np.sqrt(2.0 * max(count, 1)))
     return spread, margin + float(norm.isf(false_alarm)) * spread
 
 
 def missed_limit(count: int, fraction: float, false_alarm: float) -> float:
-    """Fraction of ``count`` stars that are missed at most, but for a probability, if each is with ``fraction``."""
+    """Fraction of missed stars that ``count`` stars, each missed with ``fraction``, exceed with a probability."""
     return float(binom.isf(false_alarm, max(count, 1), fraction)) / max(count, 1)
 
 

@@ -1,4 +1,4 @@
-"""Trails: lines of light of satellites and aeroplanes, and stars drawn out by a motion of the camera.
+"""Trails: lines of light of satellites and aeroplanes, and stars trailed by a motion of the camera.
 
 Noise and threshold break a trail into many detections. Two of them belong together if light lies between them: the
 median of the filtered image along the connecting line exceeds that of parallel lines on both sides. Single stars on the
@@ -18,10 +18,10 @@ from scipy.spatial import cKDTree
 
 from optics.arrays import FloatArray
 
-REACH_PX, END_PX, BESIDE_PX, STEPS = 50.0, 5.0, 6.0, 24
-"""Longest way between two pieces, what is left out at its ends, distance of the parallels, samples of a way."""
+REACH_PX, END_PX, PARALLEL_PX, STEPS = 50.0, 5.0, 6.0, 24
+"""Longest line between two pieces, length left out at its ends, distance of the parallels, samples of a line."""
 LIGHT, SURE = 1.5, 5.0
-"""Least light along the way [sigma], and in standard deviations of the median of this number of independent pixels."""
+"""Least light along the line [sigma], and in standard deviations of the median of this number of independent pixels."""
 INDEPENDENT_PX, MEDIAN_SPREAD = 2.5, 1.2533
 FEWEST, SHORTEST_PX, WIDEST_PX = 4, 40.0, 2.5
 """Pieces of a trail, its length and its RMS width."""
@@ -38,16 +38,18 @@ def trail_members(signal_to_noise: FloatArray, x: NDArray[np.int64], y: NDArray[
     member = np.zeros(len(x), bool)
     if len(x) < FEWEST:
         return member
-    place = np.column_stack([x, y]).astype(np.float64)
-    pairs = cKDTree(place).query_pairs(REACH_PX, output_type="ndarray")
-    length = np.linalg.norm(place[pairs[:, 1]] - place[pairs[:, 0]], axis=1)
-    pairs, length = pairs[length > 2.0 * END_PX + 2.0], length[length > 2.0 * END_PX + 2.0]
+    position = np.column_stack([x, y]).astype(np.float64)
+    pairs = cKDTree(position).query_pairs(REACH_PX, output_type="ndarray")
+    line = position[pairs[:, 1]] - position[pairs[:, 0]]
+    length = np.linalg.norm(line, axis=1)
+    far = length > 2.0 * END_PX + 2.0
+    pairs, line, length = pairs[far], line[far], length[far]
     if not 0 < len(pairs) <= MOST_PAIRS:
         return member
-    along = (place[pairs[:, 1]] - place[pairs[:, 0]]) / length[:, None]
-    across = BESIDE_PX * np.column_stack([-along[:, 1], along[:, 0]])
-    way = END_PX + (length - 2.0 * END_PX)[:, None] * np.linspace(0.0, 1.0, STEPS)
-    points = place[pairs[:, 0], None] + way[:, :, None] * along[:, None]
+    along = line / length[:, None]
+    across = PARALLEL_PX * np.column_stack([-along[:, 1], along[:, 0]])
+    distance = END_PX + (length - 2.0 * END_PX)[:, None] * np.linspace(0.0, 1.0, STEPS)
+    points = position[pairs[:, 0], None] + distance[:, :, None] * along[:, None]
     middle, left, right = (_median(signal_to_noise, points + side[:, None]) for side in (0 * across, across, -across))
     error = MEDIAN_SPREAD / np.sqrt(np.maximum((length - 2.0 * END_PX) / INDEPENDENT_PX, 1.0))
     linked = pairs[middle - np.maximum(np.maximum(left, right), 0.0) > np.maximum(LIGHT, SURE * error)]
@@ -55,9 +57,9 @@ def trail_members(signal_to_noise: FloatArray, x: NDArray[np.int64], y: NDArray[
     group = connected_components(graph, directed=False)[1]
     for number in np.flatnonzero(np.bincount(group) >= FEWEST):
         rows = np.flatnonzero(group == number)
-        spread = np.linalg.svd(place[rows] - place[rows].mean(axis=0), full_matrices=False)
-        extent = np.ptp((place[rows] - place[rows].mean(axis=0)) @ spread[2][0])
-        member[rows] = extent > SHORTEST_PX and spread[1][1] / np.sqrt(len(rows)) < WIDEST_PX
+        offset = position[rows] - position[rows].mean(axis=0)
+        _, singular_values, axes = np.linalg.svd(offset, full_matrices=False)
+        member[rows] = np.ptp(offset @ axes[0]) > SHORTEST_PX and singular_values[1] / np.sqrt(len(rows)) < WIDEST_PX
     return member
 
 
@@ -78,23 +80,10 @@ class StarShape:
 
 
 def star_shape(dn: ArrayLike, position_px: FloatArray, *, noise_dn: float) -> StarShape:
-    """Whether the stars of a frame are trails or disks, from the median of their second moments.
+    """Whether the stars of a frame (h, w) are trails or disks, from the median of their second moments.
 
-    A uniform trail of length L adds L^2 / 12 to the second moment along it.
-
-    Parameters
-    ----------
-    dn : (h, w)
-        The frame [DN].
-    position_px : (n, 2)
-        Columns and rows of the stars, the brightest first.
-    noise_dn : float
-        Standard deviation of a pixel of the background [DN].
-
-    Returns
-    -------
-    StarShape
-        Of the 40 brightest stars that are alone in a window of 25 pixels.
+    A uniform trail of length L adds L^2 / 12 to the second moment along it. The 40 brightest of the stars at positions
+    (n, 2), brightest first, that are isolated in a window of 25 px; ``noise_dn``: sigma of a background pixel.
     """
     dn = np.asarray(dn, float)
     height, width = dn.shape

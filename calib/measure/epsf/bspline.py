@@ -1,4 +1,4 @@
-"""Star images from effective PSFs: a known pixel-integrated PSF, shifted and scaled, with derivatives.
+"""Star images from effective PSFs: a pixel-integrated PSF, shifted and scaled, with derivatives.
 
 Between its samples the PSF is a cubic B-spline. All pixels of a window have the same fraction of a sample, because the
 pixel pitch is a whole number of samples; the 16 spline weights are therefore common to the window, and signal and
@@ -21,9 +21,10 @@ from optics.errors import DomainError
 from render.records import EffectivePsf
 
 MARGIN = 12
-"""Samples about a PSF: the spline's prefilter decays as 0.27^k, 1e-7 at the seam."""
-KEPT_PIXELS = 10_000
-"""Pixels of a window, times PSFs, up to which banks are kept: some 16 MB each."""
+"""Samples about a PSF: the spline's prefilter decays as 0.27^k, 1e-7 at the border."""
+SMEARED_OVERSAMPLING = 8
+CACHED_PIXELS = 10_000
+"""Pixels of a window, times PSFs, up to which banks are cached: some 16 MB each."""
 
 
 class EpsfBank:
@@ -60,21 +61,16 @@ class EpsfBank:
 
     def locate(self, x: FloatArray, y: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
         """First spline coefficient (n, 2) as (row, column) and fraction of a sample (n, 2) for stars in the window."""
-        place = self.origin - np.column_stack([y, x]) * self.oversampling
-        cell = np.clip(np.floor(np.nan_to_num(place)).astype(np.int64), 1, self._last)
-        return cell, place - cell  # beyond the table the fraction leaves 0 ... 1
+        sample = self.origin - np.column_stack([y, x]) * self.oversampling
+        cell = np.clip(np.floor(np.nan_to_num(sample)).astype(np.int64), 1, self._last)
+        return cell, sample - cell  # beyond the table the fraction leaves 0 ... 1
 
     def tables(self, psf_index: NDArray[np.int64], cell: NDArray[np.int64]) -> FloatArray:
         """The 16 coefficients of every pixel of the window, (n, 16, pixels)."""
         taps = cell[:, :, None] + np.arange(-1, 3)
-        whole, phase = np.divmod(taps, self.oversampling)
-        patch = self._patches[
-            psf_index[:, None, None],
-            phase[:, 0, :, None],
-            phase[:, 1, None, :],
-            whole[:, 0, :, None],
-            whole[:, 1, None, :],
-        ]
+        pixel, phase = np.divmod(taps, self.oversampling)
+        rows, columns = (phase[:, 0, :, None], pixel[:, 0, :, None]), (phase[:, 1, None, :], pixel[:, 1, None, :])
+        patch = self._patches[psf_index[:, None, None], rows[0], columns[0], rows[1], columns[1]]
         return patch.reshape(len(cell), 16, self.window[0] * self.window[1])
 
     def weights(self, fraction: FloatArray) -> FloatArray:
@@ -90,13 +86,13 @@ class EpsfBank:
         return out.reshape(len(fraction), 3, 16)
 
 
-_kept_bank = lru_cache(maxsize=16)(EpsfBank)
+_cached_bank = lru_cache(maxsize=16)(EpsfBank)
 
 
 def epsf_bank(psfs: Sequence[EffectivePsf], window: tuple[int, int]) -> EpsfBank:
-    """The bank of some PSFs; those of few small windows are kept, as many centroiders use the same PSFs."""
-    few = len(psfs) * window[0] * window[1] <= KEPT_PIXELS
-    return (_kept_bank if few else EpsfBank)(tuple(psfs), window)
+    """The bank of PSFs; of few PSFs in small windows it is cached, since many centroiders use the same PSFs."""
+    small = len(psfs) * window[0] * window[1] <= CACHED_PIXELS
+    return (_cached_bank if small else EpsfBank)(tuple(psfs), window)
 
 
 def cubic_weights(t: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -108,7 +104,7 @@ def cubic_weights(t: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 class EpsfModel:
-    """`scoring.PixelModel` of known effective PSFs; keeps each star's coefficients while it stays in its cell."""
+    """`PixelModel` of effective PSFs; caches the coefficients of each star while it stays in its cell."""
 
     def __init__(self, bank: EpsfBank, psf_index: NDArray[np.int64]) -> None:
         self.bank = bank
@@ -118,10 +114,10 @@ class EpsfModel:
         self._table = np.empty((len(psf_index), 16, bank.window[0] * bank.window[1]))
 
     def prior(self, parameters: FloatArray) -> None:
-        """Nothing is known of place and flux."""
+        """No prior of position and flux."""
 
     def evaluate(self, parameters: FloatArray, rows: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
-        """Signal and derivatives, see `scoring.PixelModel`."""
+        """Signal and derivatives, see `calib.measure.centroiding.maximum_likelihood.PixelModel`."""
         cell, fraction = self.bank.locate(parameters[:, X], parameters[:, Y])
         new = np.flatnonzero(np.any(cell != self._cell[rows], axis=1))
         if new.size:
@@ -141,28 +137,17 @@ def draw_epsf(epsf: EffectivePsf, x_px: FloatArray, y_px: FloatArray, shape: tup
     return model.evaluate(theta, np.arange(len(x_px)))[0].reshape(len(x_px), *shape)
 
 
-def smeared_epsfs(values: FloatArray, path_px: FloatArray, oversampling: int = 8) -> list[EffectivePsf]:
-    """PSFs averaged over the paths of their images, as of a star that moves during the exposure.
+def smeared_epsfs(values: FloatArray, path_px: FloatArray) -> list[EffectivePsf]:
+    """PSFs (n, m, m), 8 samples per pixel, averaged over the paths (n, t, 2) of their images at equal exposure steps.
 
-    By the shift theorem of the discrete Fourier transform: exact for what the grid can hold.
-
-    Parameters
-    ----------
-    values : (n, m, m)
-        PSFs, one per image.
-    path_px : (n, t, 2)
-        Positions (x, y) of each image at equal parts of the exposure, from the PSF's centre [px].
-    oversampling : int
-        Samples of a PSF per pixel.
+    By the shift theorem of the discrete Fourier transform: exact for a band-limited PSF.
     """
-    if not np.any(path_px):
-        return [EffectivePsf(values=psf, oversampling=oversampling) for psf in values]
-    side = values.shape[-1]
-    wave = np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side)[None, :]
-    smeared = []
-    for psf, path in zip(values, path_px * oversampling, strict=True):
-        phase = wave[0][None] * path[:, 1, None, None] + wave[1][None] * path[:, 0, None, None]
-        transfer = np.exp(-2j * np.pi * phase).mean(0)
-        moved = np.fft.irfft2(np.fft.rfft2(psf) * transfer, s=psf.shape)
-        smeared.append(EffectivePsf(values=moved, oversampling=oversampling))
-    return smeared
+    if np.any(path_px):
+        side, smeared = values.shape[-1], []
+        row, column = np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side)
+        for psf, path in zip(values, path_px * SMEARED_OVERSAMPLING, strict=True):
+            phase = row * path[:, 1, None, None] + column * path[:, 0, None, None]
+            transfer = np.exp(-2j * np.pi * phase).mean(0)
+            smeared.append(np.fft.irfft2(np.fft.rfft2(psf) * transfer, s=psf.shape))
+        values = np.array(smeared)
+    return [EffectivePsf(values=psf, oversampling=SMEARED_OVERSAMPLING) for psf in values]

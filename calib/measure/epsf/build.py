@@ -7,8 +7,8 @@ spline coefficients solve one weighted, slightly smoothed linear least-squares p
 One set of stars does not determine a common error that depends on the position within the pixel: moving every star by
 g(phase) and warping the PSF accordingly leaves all predicted pixels unchanged. Only stars at several phases fix it: the
 position in one frame must equal the position in another plus a shift of the whole frame. Pass ``star_index`` and
-``frame_index`` for this (Anderson & King's dithers), or ``position_px``, independently known positions (catalogue stars
-through a calibrated camera). Without either the S-curve of the first Gaussian fit remains.
+``frame_index`` for this (Anderson & King's dithers), or ``position_px``, independent positions (catalogue stars through
+a calibrated camera). Without either the S-curve of the first Gaussian fit remains.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ _UNFIT = StarFlag.SATURATED | StarFlag.BLEND | StarFlag.SPIKE | StarFlag.NO_DATA
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EpsfSolution:
-    """What `build_epsf` found."""
+    """Result of `build_epsf`."""
 
-    epsf: EffectivePsf  # The PSF. Its origin is its centre of light, its sum over one phase is 1 within the window
+    epsf: EffectivePsf  # The PSF. Its origin is its centre of light, its sum over a phase is 1 within the window
     stars: StarTable  # All stars measured with it
-    converged: bool  # Whether the positions came to rest
-    iterations: int  # Rounds taken
-    last_shift_px: float  # RMS change of the positions in the last round
+    converged: bool  # Whether the positions converged
+    iterations: int  # Number of iterations
+    last_shift_px: float  # RMS change of the positions in the last iteration
     chi2: float  # Mean of the stars' reduced chi-square
-    used: NDArray[np.bool_]  # (n,) Stars that took part
-    message: str = ""  # Why positions did not come to rest
+    used: NDArray[np.bool_]  # (n,) Stars of the fit
+    message: str = ""  # Why positions did not converge
 
 
 def build_epsf(
@@ -66,28 +66,28 @@ def build_epsf(
     Parameters
     ----------
     stamps : Stamps
-        Star images, e.g. of several dithered frames; at least ``oversampling^2`` clean ones. Saturated and blended
-        stars are measured but take no part.
+        Star images, e.g. of several dithered frames; at least ``oversampling^2`` without flags. Saturated and blended
+        stars are measured but not used for the PSF.
     noise : NoiseModel
         Noise of a pixel.
     star_index, frame_index : (n,) int, optional
-        Which star and which frame a stamp belongs to, where the same stars were seen in frames that differ by a shift.
-        Positions are then star + frame shift while the PSF is built.
+        Star and frame of each stamp, for the same stars in frames that differ by a shift. Positions are then star +
+        frame shift while the PSF is built.
     position_px : (n, 2), optional
-        Known places (column, row) of the stars, e.g. of the catalogue through a calibrated camera; NaN where there is
-        none: such stars take no part. They are held while the PSF is built, and its origin is theirs and not its centre
-        of light. Errors of the places that are alike in a frame shift the PSF, others widen it.
+        Positions (column, row) of the stars, e.g. of the catalogue through a calibrated camera; stars with NaN are not
+        used. They are held fixed while the PSF is built, and are its origin in place of its centre of light. Errors
+        common to a frame shift the PSF, others widen it.
     oversampling : int
         Samples per pixel of the result, 1 to 16.
     roughness : float
         Expected third difference of the PSF over a quarter of a pixel, relative to its peak (standard deviation of a
-        normal prior). Where the data say little they are smoothed to this; bright stars overrule it.
+        normal prior), to which noisy data are smoothed.
     fit_background : bool
         Fit a constant per star.
     max_iterations : int
-        Most rounds.
+        Largest number of iterations.
     tolerance : float
-        Done when the positions move by less than this part of their standard deviation (RMS).
+        Change of the positions, relative to their standard deviation (RMS), below which they have converged.
 
     Returns
     -------
@@ -106,39 +106,40 @@ def build_epsf(
         raise DomainError("star_index and frame_index belong together; give both or none")
     if position_px is not None and star_index is not None:
         raise DomainError("give either position_px or star_index; known positions need no dithers")
-    known = None if position_px is None else _known(position_px, len(stamps))
+    fixed_px = None if position_px is None else _positions(position_px, len(stamps))
     dither = None
     if star_index is not None and frame_index is not None:
         dither = _Dither(star_index, frame_index, len(stamps))
     stars = GaussianCentroider(fit_background=fit_background).measure(stamps, noise)
-    can = np.ones(len(stamps), bool) if known is None else np.isfinite(known).all(axis=1)
-    used = ~has_flag(stars.flags, _UNFIT) & can
+    usable = np.ones(len(stamps), bool) if fixed_px is None else np.asarray(np.isfinite(fixed_px).all(axis=1))
+    used = ~has_flag(stars.flags, _UNFIT) & usable
     if used.sum() < oversampling**2:
         raise DomainError(
             f"{int(used.sum())} usable stars; an ePSF of oversampling {oversampling} needs at least {oversampling**2}"
         )
-    grid = _Grid(max(stamps.electrons.shape[1:]), oversampling)
+    grid = _Grid(max(stamps.window), oversampling)
     epsf: EffectivePsf | None = None
-    converged, shift, iterations, part = False, np.inf, 0, np.inf
+    converged, shift, iterations, relative_shift = False, np.inf, 0, np.inf
     while not converged and iterations < max_iterations:
         placed = stars if dither is None else dither.place(stars, used)
-        if known is not None:
-            placed = replace(stars, x_px=np.where(can, known[:, 0], 0.0), y_px=np.where(can, known[:, 1], 0.0))
+        if fixed_px is not None:
+            x_px, y_px = np.where(usable[:, None], fixed_px, 0.0).T
+            placed = replace(stars, x_px=x_px, y_px=y_px)
         epsf, centre = grid.solve(stamps, placed, noise, used=used, roughness=roughness, last=epsf)
         new = EpsfCentroider(epsf=epsf, fit_background=fit_background).measure(_restart(stamps, stars), noise)
-        used = ~has_flag(new.flags, _UNFIT) & can
+        used = ~has_flag(new.flags, _UNFIT) & usable
         both = used & np.isfinite(stars.x_px)
         if both.sum() < oversampling**2:
             raise DomainError(
                 f"only {int(both.sum())} stars could be measured with the PSF; more or brighter stars are needed"
             )
-        step = np.concatenate([(new.x_px - stars.x_px)[both], (new.y_px - stars.y_px)[both]])
-        sigma = np.concatenate([new.sigma_x_px[both], new.sigma_y_px[both]])
+        step = (new.pixel_px - stars.pixel_px)[both]
+        sigma = np.column_stack([new.sigma_x_px, new.sigma_y_px])[both]
         shift = float(np.sqrt(np.mean(step**2)))
-        part = float(np.sqrt(np.mean((step / sigma) ** 2)))
-        converged = part < tolerance
-        # the next PSF is built around its centre of light: that fixes the origin, which the data leave free
-        moved = known is None and not converged
+        relative_shift = float(np.sqrt(np.mean((step / sigma) ** 2)))
+        converged = relative_shift < tolerance
+        # the next PSF is built around its centre of light: the data do not determine the origin
+        moved = fixed_px is None and not converged
         stars = replace(new, x_px=new.x_px + centre[0], y_px=new.y_px + centre[1]) if moved else new
         iterations += 1
     if epsf is None:
@@ -151,29 +152,25 @@ def build_epsf(
         last_shift_px=shift,
         chi2=float(np.mean(stars.chi2[used])),
         used=used,
-        message="" if converged else _restless(shift, part, tolerance, iterations, int(used.sum()), oversampling),
+        message=""
+        if converged
+        else f"positions still move by {shift:.2g} px, {relative_shift:.2g} of their standard deviation (tolerance "
+        f"{tolerance:g}), after {iterations} rounds: {int(used.sum())} stars for {oversampling**2} phases; more stars, "
+        "a larger roughness or known places (position_px) determine them",
     )
 
 
-def _restless(shift: float, part: float, tolerance: float, rounds: int, stars: int, oversampling: int) -> str:
-    return (
-        f"positions still move by {shift:.2g} px, {part:.2g} of their standard deviation (tolerance {tolerance:g}), "
-        f"after {rounds} rounds: {stars} stars for {oversampling**2} phases; more stars, a larger roughness or known "
-        "places (position_px) determine them"
-    )
-
-
-def _known(position_px: ArrayLike, count: int) -> FloatArray:
-    known = np.asarray(position_px, np.float64)
-    if known.shape != (count, 2):
-        raise DomainError(f"position_px has shape {known.shape}; ({count}, 2) is needed, column and row of every stamp")
-    return known
+def _positions(position_px: ArrayLike, count: int) -> FloatArray:
+    position = np.asarray(position_px, np.float64)
+    if position.shape != (count, 2):
+        shape = position.shape
+        raise DomainError(f"position_px has shape {shape}; ({count}, 2) is needed, column and row of every stamp")
+    return position
 
 
 def _restart(stamps: Stamps, stars: StarTable) -> Stamps:
     """The stamps with the last positions as start."""
-    position = np.column_stack([stars.x_px, stars.y_px])
-    return replace(stamps, start_px=np.where(np.isfinite(position), position, stamps.start_px))
+    return replace(stamps, start_px=np.where(np.isfinite(stars.pixel_px), stars.pixel_px, stamps.start_px))
 
 
 class _Dither:
@@ -198,12 +195,12 @@ class _Dither:
         for name, sigma in (("x_px", stars.sigma_x_px), ("y_px", stars.sigma_y_px)):
             weight = sigma[used] ** -2
             normal = design.T @ sparse.diags(weight) @ design
-            # the ridge settles what the data leave open: a shift of all stars against all frames, unseen stars
+            # the ridge fixes undetermined parameters: a shift of all stars against all frames, unused stars
             ridge = 1e-9 * weight.mean() * sparse.identity(normal.shape[0])
             values = np.array(getattr(stars, name))
             zero = values[used].mean()
-            found = spsolve((normal + ridge).tocsc(), design.T @ (weight * (values[used] - zero)))
-            values[used] = design @ found + zero
+            estimate = spsolve((normal + ridge).tocsc(), design.T @ (weight * (values[used] - zero)))
+            values[used] = design @ estimate + zero
             position[name] = values
         return replace(stars, **position)
 
@@ -233,14 +230,13 @@ class _Grid:
         y = stars.y_px[used] - stamps.corner_px[used, 1]
         taps = []
         for centre, length in ((y, height), (x, width)):
-            place = (np.arange(length) - centre[:, None]) * self.step + self.half
-            cell = np.floor(place).astype(np.int64)
-            taps.append((cell[..., None] + np.arange(-1, 3), cubic_weights(place - cell)[0]))
+            sample = (np.arange(length) - centre[:, None]) * self.step + self.half
+            cell = np.floor(sample).astype(np.int64)
+            tap = cell[..., None] + np.arange(-1, 3)
+            inside = (tap >= 0) & (tap < self.size)
+            taps.append((np.where(inside, tap, 0), cubic_weights(sample - cell)[0] * inside))
         (row, row_weight), (column, column_weight) = taps
-        row_inside, column_inside = (row >= 0) & (row < self.size), (column >= 0) & (column < self.size)
-        row_weight, column_weight = row_weight * row_inside, column_weight * column_inside
-        index = np.where(row_inside, row, 0)[:, :, None, :, None] * self.size
-        index = index + np.where(column_inside, column, 0)[:, None, :, None, :]
+        index = row[:, :, None, :, None] * self.size + column[:, None, :, None, :]
         weight = row_weight[:, :, None, :, None] * column_weight[:, None, :, None, :]
         pixels = len(x) * height * width
         pointer = np.arange(pixels + 1) * 16
@@ -249,9 +245,8 @@ class _Grid:
     def penalty(self) -> sparse.csr_matrix:
         """Sum of squared third differences along both axes."""
         third = sparse.diags([-1.0, 3.0, -3.0, 1.0], [0, 1, 2, 3], shape=(self.size - 3, self.size))
-        one = third.T @ third
-        eye = sparse.identity(self.size)
-        return (sparse.kron(one, eye) + sparse.kron(eye, one)).tocsr()
+        square, identity = third.T @ third, sparse.identity(self.size)
+        return (sparse.kron(square, identity) + sparse.kron(identity, square)).tocsr()
 
     def solve(
         self,
@@ -269,17 +264,16 @@ class _Grid:
         flux = np.repeat(stars.flux_e[used], shape[1] * shape[2])
         background = np.repeat(stars.background_e[used], shape[1] * shape[2])
         light = stamps.electrons[used].ravel() - background
-        # first round: the data's own light, clipped, as expectation; then the last PSF's
+        # expectation: the light of the data, clipped, in the first iteration, of the last PSF in others
         expected = np.maximum(light, 0.0) if last is None else flux * (design @ self.coefficients(last))
         weight = np.sqrt(stamps.valid[used].ravel() / noise.variance_e2(expected + background))
         scaled = sparse.diags(weight * flux) @ design
         normal = scaled.T @ scaled
-        # the peak of the PSF in a pixel, from the light the stars have in their brightest one
+        # the peak of the PSF in a pixel, from the brightest pixels of the stars
         peak = np.median((light.reshape(shape) * stamps.valid[used]).max(axis=(1, 2)) / stars.flux_e[used])
         prior = (roughness * peak * (4.0 / self.step) ** 3) ** -2 * self.penalty()
         ridge = 1e-9 * normal.diagonal().mean() * sparse.identity(self.size**2)
-        found = _solve_banded(normal + prior + ridge, scaled.T @ (weight * light))
-        nodes = found.reshape(self.size, self.size)
+        nodes = _solve_banded(normal + prior + ridge, scaled.T @ (weight * light)).reshape(self.size, self.size)
         values = np.pad(nodes, 1)
         for axis in (0, 1):
             values = correlate1d(values, np.array([1.0, 4.0, 1.0]) / 6.0, axis=axis, mode="constant")

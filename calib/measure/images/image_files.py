@@ -20,9 +20,9 @@ from optics.errors import ConfigError, StarbenchError
 from optics.fits import located, open_fits, unpacked
 
 MOST_PIXELS = 1 << 28
-"""Largest number of pixels, 2 GB as float64; a header of a few bytes can announce any number."""
+"""Largest number of pixels, 2 GB as float64; a header can announce any number."""
 FEWEST_CODES = 8
-"""Different numbers from which a common step is no accident."""
+"""Fewest different numbers for which a common step is significant."""
 PILED_UP, PILED_OVER = 8, 10.0
 """Pixels at the highest number, and their ratio to those within 5 % below it, that show a level of saturation."""
 _EXIF_EXPOSURE, _EXIF_TAKEN, _EXIF_TABLE = 33434, 36867, 0x8769
@@ -33,7 +33,7 @@ _WHITE_IS_ZERO, _PALETTE, _SEPARATE = 0, 3, 2  # photometric interpretation, pla
 class StoredPixels:
     """Contents of a file, unchanged."""
 
-    values: NDArray[Any]  # (h, w), or (h, w, colours), in the type in which they are stored
+    values: NDArray[Any]  # (h, w), or (h, w, colours), in the stored type
     opaque: NDArray[np.bool_] | None = None  # (h, w) Where an alpha channel is not 0
     kind: str  # Name of the format
     header: Any = field(default_factory=dict)  # Of a FITS file
@@ -42,13 +42,13 @@ class StoredPixels:
 
 
 def load_pixels(path: str | Path, *, hdu: int | str | None = None, plane: int | None = None) -> StoredPixels:
-    """Pixels of a file of any known kind; every failure is one line with the name of the file."""
+    """Pixels of a file; every failure is a message of one line with the name of the file."""
     path = located(path)
-    if isinstance(path, str):  # a URL, which `open_fits` knows to read
+    if isinstance(path, str):  # a URL, which `open_fits` reads
         return _fits(path, hdu, plane)
     if not path.is_file():
-        gone = "no such file" if not path.exists() else "a folder" if path.is_dir() else "no regular file"
-        raise ConfigError(f"{path}: {gone}")
+        fault = "no such file" if not path.exists() else "a folder" if path.is_dir() else "no regular file"
+        raise ConfigError(f"{path}: {fault}")
     with path.open("rb") as stream:
         start = stream.read(16)
     if not start:
@@ -65,8 +65,8 @@ def load_pixels(path: str | Path, *, hdu: int | str | None = None, plane: int | 
     except StarbenchError:
         raise
     except Exception as error:  # readers raise a dozen kinds on damaged files
-        said = " ".join(str(error).split())[:160] or type(error).__name__
-        raise ConfigError(f"{path}: not a readable {kind} file ({said})") from None
+        reason = " ".join(str(error).split())[:160] or type(error).__name__
+        raise ConfigError(f"{path}: not a readable {kind} file ({reason})") from None
 
 
 def _reader(start: bytes) -> tuple[Callable[[Path, int | None], StoredPixels] | None, str]:
@@ -93,7 +93,7 @@ def _tiff(path: Path, plane: int | None) -> StoredPixels:
                 raise ConfigError(f"{path}: the file ends within the pixel data: it is truncated")
         try:
             values = page.asarray()
-        except ValueError:  # a compression for which tifffile wants its companion; Pillow has the usual ones
+        except ValueError:  # a compression for which tifffile needs imagecodecs; Pillow reads the common ones
             if page.dtype != np.uint8 and page.samplesperpixel > 1:
                 raise ConfigError(
                     f"{path}: colours of {page.dtype} compressed ({page.compression!r}); save it uncompressed"
@@ -110,7 +110,7 @@ def _tiff(path: Path, plane: int | None) -> StoredPixels:
     exposure = tags.get(_EXIF_EXPOSURE, exif.get("ExposureTime"))
     if isinstance(exposure, tuple):
         exposure = exposure[0] / exposure[1] if exposure[1] else None
-    values, opaque = _apart(path, values)
+    values, opaque = _colours(path, values)
     return StoredPixels(
         values=values,
         opaque=opaque,
@@ -135,9 +135,9 @@ def _picture(path: Path, plane: int | None) -> StoredPixels:
             values = _deep_png(path)
         else:
             plain = {"1": "L", "P": "RGBA" if "transparency" in file.info else "RGB", "PA": "RGBA"}
-            known = file.mode in ("L", "LA", "RGB", "RGBA", "I", "F") or file.mode.startswith("I;16")
-            values = np.asarray(file if known else file.convert(plain.get(file.mode, "RGB")))
-    values, opaque = _apart(path, values)
+            numeric = file.mode in ("L", "LA", "RGB", "RGBA", "I", "F") or file.mode.startswith("I;16")
+            values = np.asarray(file if numeric else file.convert(plain.get(file.mode, "RGB")))
+    values, opaque = _colours(path, values)
     return StoredPixels(
         values=values,
         opaque=opaque,
@@ -183,7 +183,7 @@ def _numpy(path: Path, plane: int | None) -> StoredPixels:
         cube = loaded.reshape(-1, *loaded.shape[-2:])
         loaded = cube[_plane(path, len(cube), plane)]
     _check_size(path, *loaded.shape[:2])
-    values, opaque = _apart(path, np.array(loaded))
+    values, opaque = _colours(path, np.array(loaded))
     return StoredPixels(values=values, opaque=opaque, kind="NumPy")
 
 
@@ -201,7 +201,7 @@ def _fits(path: Path | str, hdu: int | str | None, plane: int | None) -> StoredP
             raise ConfigError(f"{path}: has no extension {hdu!r}; it has {len(file)}, counted from 0") from None
         data = chosen.data
         header = chosen.header.copy()
-        dict(header)  # every value is looked at while what is wrong with it can be told
+        dict(header)  # parses every value, so that faults are reported here
     if data is None or not isinstance(data, np.ndarray) or data.dtype.kind not in "iuf":
         raise ConfigError(f"{path}: extension {hdu if hdu is not None else 0} holds no image")
     if data.ndim > 2:
@@ -213,7 +213,7 @@ def _fits(path: Path | str, hdu: int | str | None, plane: int | None) -> StoredP
 
 
 def _head(path: Path) -> bytes | None:
-    """First bytes of what a file holds, unpacked; None if those are none of ours to judge."""
+    """First bytes of the unpacked content of a file."""
     content = unpacked(path)
     if content is not None:
         return content[:80]
@@ -234,8 +234,8 @@ def _check_size(path: Path, width: int, height: int) -> None:
         raise ConfigError(f"{path}: {width} x {height} px; 1 to {MOST_PIXELS} pixels are read")
 
 
-def _apart(path: Path, values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
-    """Colours, and where the alpha channel lets them be seen."""
+def _colours(path: Path, values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
+    """Colours, and where the alpha channel is opaque."""
     if values.dtype.kind not in "uif" or values.ndim not in (2, 3) or (values.ndim == 3 and values.shape[2] > 4):
         raise ConfigError(
             f"{path}: {values.dtype} of shape {values.shape}; rows, columns and at most 4 colours are read"
@@ -256,16 +256,14 @@ def _positive(value: Any) -> float | None:
 
 
 def converter_steps(values: NDArray[Any], kind: str = "array") -> Conversion:
-    """In which steps whole numbers were counted, and from which on they say nothing but that the pixel is full.
+    """Step and saturation level of whole numbers (h, w) or (h, w, colours) of a format.
 
     Converters of 10 to 14 bits are stored in the upper bits of 16, with zeros below (steps of 4 to 64) or with the
     upper bits repeated there (65535 is full); a digital gain multiplies all numbers. The step is the greatest common
-    divisor of all differences, the full code apart, which some cameras set to 65535 whatever their step. ``values`` are
-    (h, w) or (h, w, colours); ``kind`` is the name of the format.
+    divisor of all differences except that of the full code, which some cameras set to 65535 for any step.
     """
-    whole = values.dtype.kind in "ui" and values.dtype.itemsize <= 2
     bits = 8 * values.dtype.itemsize
-    if not whole:
+    if values.dtype.kind not in "ui" or bits > 16:
         return Conversion(kind=kind, stored=str(values.dtype))
     lowest, end = int(np.iinfo(values.dtype).min), int(np.iinfo(values.dtype).max)
     counts = np.bincount((values.ravel().astype(np.int64) - lowest) if lowest else values.ravel(), minlength=1)

@@ -1,4 +1,4 @@
-"""Images as input: our own frames, arrays, and files of other programs."""
+"""Images as input: rendered frames, arrays, and files of other programs."""
 
 from __future__ import annotations
 
@@ -25,17 +25,14 @@ _CHANNELS = ("mean", "red", "green", "blue")
 
 
 def as_image(image: SensorImage | Frame | NDArray[Any]) -> SensorImage:
-    """An image in any of the forms that a user may have as a `SensorImage`.
-
-    Shapes: ``image`` (h, w).
-    """
+    """A frame or an array (h, w) as a `SensorImage`."""
     if isinstance(image, SensorImage):
         return image
     return image_from_frame(image) if isinstance(image, Frame) else sensor_image(image)
 
 
 def image_from_frame(frame: Frame) -> SensorImage:
-    """A rendered frame as the inverse model sees it: pixels, masks and the nominal noise model."""
+    """Pixels, masks and nominal noise model of a rendered frame."""
     return SensorImage(
         dn=frame.dn.astype(np.float64),
         valid=~frame.defect,
@@ -90,8 +87,8 @@ def sensor_image(
     """Digital numbers as a `SensorImage`; missing properties are estimated from the image.
 
     Unknown gain: 1 DN/e-. Unknown read noise: the noise of the background, less the shot noise of the background if
-    the offset is known. Unknown offset: placed so that background and read noise together give the noise that the
-    background shows. Names of such values are listed in ``assumed``.
+    the offset is known. Unknown offset: such that background and read noise together give the measured noise of the
+    background. Names of such values are listed in ``assumed``.
 
     Parameters
     ----------
@@ -100,13 +97,13 @@ def sensor_image(
     gain_dn_per_e, offset_dn, read_noise_e : float, optional
         Noise model, where known.
     saturation_dn : float, optional
-        DN from which a pixel counts as saturated; for unsigned integers the largest number there is, if not given.
+        DN from which a pixel is saturated; for unsigned integers the largest number of the type, if not given.
     saturated : (h, w) bool, optional
-        Saturated pixels, where they are known better than by a level.
+        Saturated pixels, in place of a level.
     defect : (h, w) bool, optional
-        Known defective pixels.
+        Defective pixels.
     quantised : bool, optional
-        Whether rounding noise counts; if not given, whether all numbers are whole.
+        Whether the noise includes rounding; if not given, whether all numbers are whole.
     exposure_s : float, optional
         Exposure time.
     source : str
@@ -115,7 +112,7 @@ def sensor_image(
     Returns
     -------
     SensorImage
-        What `find_stars` works on.
+        Input of `find_stars`.
 
     Raises
     ------
@@ -135,8 +132,7 @@ def sensor_image(
     if saturated is None:
         saturated = np.zeros(values.shape, bool) if saturation_dn is None else values >= saturation_dn
     saturated = finite & saturated
-    valid = finite.copy()
-    valid &= ~np.ma.getmaskarray(dn)
+    valid = finite & ~np.ma.getmaskarray(dn)
     if not valid.any():
         raise DomainError(f"image {source!r} has no unmasked pixel; it cannot be measured")
     if defect is not None:
@@ -152,7 +148,7 @@ def sensor_image(
     if offset is None or read_noise is None:
         plain = NoiseModel(read_noise_e=0.0, gain_dn_per_e=gain, offset_dn=offset or 0.0)
         frame = SensorImage(dn=values, valid=valid, saturated=saturated, noise=plain, source=source)
-        step = 4 if min(values.shape) >= 512 else 1  # of a large frame a part tells level and noise to 0.3 %
+        step = 4 if min(values.shape) >= 512 else 1  # level and noise of a large frame to 0.3 %
         sky = estimate_background(frame, step_px=step)
         level, sigma = float(np.median(sky.level_e)), float(np.median(sky.sigma_e))
         if read_noise is None:
@@ -160,12 +156,11 @@ def sensor_image(
             read_noise = float(np.sqrt(max(sigma**2 - shot, 0.0)))
         if offset is None:
             offset = gain * (level - max(sigma**2 - read_noise**2, 0.0))
-    noise = NoiseModel(read_noise_e=read_noise, gain_dn_per_e=gain, offset_dn=offset, quantised=quantised)
     return SensorImage(
         dn=values,
         valid=valid,
         saturated=saturated,
-        noise=noise,
+        noise=NoiseModel(read_noise_e=read_noise, gain_dn_per_e=gain, offset_dn=offset, quantised=quantised),
         assumed=assumed,
         exposure_s=exposure_s,
         source=source,
@@ -187,28 +182,28 @@ def read_image(
 ) -> SensorImage:
     """Read an image file: FITS, TIFF, PNG, JPEG, NumPy; 8 to 16 bits or floats; grey or colour.
 
-    A DN of the result is a step of the converter: 12 bits in the upper ones of 16 are divided by 16, and the level of
-    saturation with them. ``str(image.conversion)`` says what was read. Of colours the mean is taken; a pixel is
-    saturated where any of them is. Pixels that an alpha channel makes invisible are not valid.
+    A DN of the result is a step of the converter: 12 bits in the upper bits of 16 are divided by 16, and the level of
+    saturation with them. ``str(image.conversion)`` states the result. Of colours the mean is taken; a pixel is
+    saturated where any of them is. Pixels that are transparent in an alpha channel are not valid.
 
     Used keywords of FITS, in units of the stored numbers: EGAIN or CCDGAIN, or GAIN if its comment speaks of electrons
     (elsewhere it is a camera setting) [e-/DN]; OFFSET if its comment gives the unit [DN]; RDNOISE, READNOIS, ENOISE or
     RON [e-]; SATURATE, SATLEVEL or DATAMAX [DN]; EXPTIME or EXPOSURE [s]. BSCALE, BZERO, BLANK and tile compression are
-    undone by astropy; CHECKSUM and DATASUM are verified. Exposure times of EXIF are read. Arguments go before keywords;
-    what neither states is estimated as `sensor_image` says.
+    undone by astropy; CHECKSUM and DATASUM are verified. Exposure times of EXIF are read. Arguments override keywords;
+    missing values are estimated as by `sensor_image`.
 
     Parameters
     ----------
     path : str or Path
         The file.
     hdu : int or str, optional
-        Extension of a FITS file; the first one that holds an image if not given.
+        Extension of a FITS file; the first with an image if not given.
     plane : int, optional
-        Which image of a cube, or page of a TIFF file.
+        Image of a cube, or page of a TIFF file.
     channel : str
         "mean", "red", "green" or "blue" of a colour image.
     step : float, optional
-        Stored numbers per DN, where the frame alone may not tell it; by `converter_steps` if not given.
+        Stored numbers per DN, if the frame does not determine it; by `converter_steps` if not given.
     gain_dn_per_e, offset_dn, read_noise_e, saturation_dn, defect : optional
         As in `sensor_image`.
 
@@ -233,9 +228,7 @@ def read_image(
     conversion = converter_steps(values, stored.kind)
     if step is not None:
         conversion = replace(conversion, step=float(step))
-    full = _number(header, _SATURATION_KEYS, positive=True)
-    if saturation_dn is not None:
-        full = saturation_dn * conversion.step
+    full = _number(header, _SATURATION_KEYS) if saturation_dn is None else saturation_dn * conversion.step
     conversion = replace(conversion, full=conversion.full if full is None else full, taken=stored.taken)
     saturated: Any = None if conversion.full is None else values >= conversion.full
     if values.ndim == 3:
@@ -248,22 +241,22 @@ def read_image(
         electrons_per_dn = _gain_keyword(header)
         gain_dn_per_e = None if electrons_per_dn is None else 1.0 / (electrons_per_dn * conversion.step)
     if offset_dn is None and _OFFSET_KEY in header and "[dn]" in str(header.comments[_OFFSET_KEY]).lower():
-        offset_dn = _number(header, (_OFFSET_KEY,))
+        offset_dn = _number(header, (_OFFSET_KEY,), zero=True)
         offset_dn = None if offset_dn is None else offset_dn / conversion.step
     if read_noise_e is None:
-        read_noise_e = _number(header, _READ_NOISE_KEYS)
-    hidden = None if stored.opaque is None else ~stored.opaque
-    if hidden is not None and defect is not None and np.shape(defect) == hidden.shape:
-        defect = hidden | np.asarray(defect, dtype=bool)
+        read_noise_e = _number(header, _READ_NOISE_KEYS, zero=True)
+    transparent = None if stored.opaque is None else ~stored.opaque
+    if transparent is not None and defect is not None and np.shape(defect) == transparent.shape:
+        defect = transparent | np.asarray(defect, dtype=bool)
     image = sensor_image(
         values,
         gain_dn_per_e=gain_dn_per_e,
         offset_dn=offset_dn,
         read_noise_e=read_noise_e,
         saturated=saturated,
-        defect=hidden if defect is None else defect,
+        defect=transparent if defect is None else defect,
         quantised=conversion.full is not None or None,
-        exposure_s=stored.exposure_s or _number(header, _EXPOSURE_KEYS, positive=True),
+        exposure_s=stored.exposure_s or _number(header, _EXPOSURE_KEYS),
         source=Path(path).name,
     )
     return replace(image, conversion=conversion)
@@ -300,21 +293,21 @@ def read_images(paths: Iterable[str | Path], **options: Any) -> Iterator[SensorI
             raise ConfigError(f"{path}: {width} x {height} px, {first.source} has {columns} x {rows}")
         assert first.conversion is not None
         assert image.conversion is not None
-        known, here = first.conversion, image.conversion
-        if here.stored != known.stored:
-            raise ConfigError(f"{path}: stored as {here.stored}, {first.source} as {known.stored}")
-        if here.step != known.step:
-            if here.step % known.step:
+        stored, step = first.conversion.stored, first.conversion.step
+        if image.conversion.stored != stored:
+            raise ConfigError(f"{path}: stored as {image.conversion.stored}, {first.source} as {stored}")
+        if image.conversion.step != step:
+            if image.conversion.step % step:
                 raise ConfigError(
-                    f"{path}: counted in steps of {here.step:g}, {first.source} in steps of {known.step:g}; "
+                    f"{path}: counted in steps of {image.conversion.step:g}, {first.source} in steps of {step:g}; "
                     "state the step (step=1: values unchanged)"
                 )
-            image = read_image(path, **{**options, "step": known.step})  # few codes have a common step by chance
+            image = read_image(path, **{**options, "step": step})  # few codes have a common step by chance
         yield image
 
 
-def _number(header: Any, keys: tuple[str, ...], positive: bool = False) -> float | None:
-    """First usable number among ``keys``; text and nonsense count as absent."""
+def _number(header: Any, keys: tuple[str, ...], *, zero: bool = False) -> float | None:
+    """First positive number (or ``zero``) among ``keys``; text counts as absent."""
     from astropy.io import fits  # slow to import
 
     for key in keys:
@@ -322,17 +315,15 @@ def _number(header: Any, keys: tuple[str, ...], positive: bool = False) -> float
             value = float(header.get(key))
         except (TypeError, ValueError, fits.VerifyError):
             continue
-        if np.isfinite(value) and (value > 0 or (value == 0 and not positive)):
+        if np.isfinite(value) and (value > 0 or (value == 0 and zero)):
             return value
     return None
 
 
 def _gain_keyword(header: Any) -> float | None:
     for key in _GAIN_KEYS:
-        value = _number(header, (key,), positive=True)
-        if value is None:
-            continue
-        comment = str(header.comments[key]).lower()
-        if key != "GAIN" or "electron" in comment or "e-" in comment or "e/" in comment:
+        value = _number(header, (key,))
+        comment = "" if value is None else str(header.comments[key]).lower()
+        if value is not None and (key != "GAIN" or any(unit in comment for unit in ("electron", "e-", "e/"))):
             return value
     return None

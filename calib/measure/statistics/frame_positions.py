@@ -18,9 +18,8 @@ FEWEST_FRAMES = 2
 def measured_positions(centroider: Centroider, stamps: Stamps, noise: NoiseModel, frames: int) -> FloatArray:
     """Positions (f, n, 2) of n windows in f frames; NaN where the centroider failed."""
     table = centroider.measure(stamps, noise)
-    position = np.stack([table.x_px, table.y_px], axis=-1).reshape(frames, -1, 2)
-    bad = has_flag(table.flags, StarFlag.NOT_CONVERGED | StarFlag.NO_DATA).reshape(frames, -1)
-    return np.where(bad[..., None], np.nan, position)
+    failed = has_flag(table.flags, StarFlag.NOT_CONVERGED | StarFlag.NO_DATA)
+    return np.where(failed[:, None], np.nan, table.pixel_px).reshape(frames, -1, 2)
 
 
 def frame_statistics(position_px: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
@@ -44,10 +43,9 @@ def position_covariance_px2(position_px: FloatArray) -> FloatArray:
 
 
 def common_motion_px2(position_px: FloatArray) -> FloatArray:
-    """Variance (2, 2) of positions (f, n, 2): first (x, y) of what the points have in common from frame to frame.
+    """Variance (2, 2) of positions (f, n, 2): first of the common motion in x and y from frame to frame.
 
-    Then what the points' own noise leaves in the mean over them, which has been taken from the first. NaN for a single
-    point.
+    Then of the mean of the points' independent noise, which is subtracted from the first. NaN for a single point.
     """
     points = position_px.shape[1]
     if points < 2:
@@ -58,8 +56,8 @@ def common_motion_px2(position_px: FloatArray) -> FloatArray:
 
 
 def common_motion_limit(frames: int, points: int, false_alarm: float) -> float:
-    """Variance of the mean over n points at rest, over that by their own noise, that chance reaches.
+    """Variance of the mean over n points at rest in f frames, over that by their noise, with a false alarm probability.
 
-    Fisher's F with (f - 1) and (f - 1)(n - 1) degrees of freedom, f frames.
+    Fisher's F with (f - 1) and (f - 1)(n - 1) degrees of freedom.
     """
     return float(fdtri(frames - 1, (frames - 1) * (points - 1), 1.0 - false_alarm))

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
+from scipy.special import expit
 from scipy.stats import mannwhitneyu
 from skimage.measure import moments_central, moments_hu
 
@@ -18,7 +19,7 @@ from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 
 HALF_PX = 5
-RIDGE, PARTS, RESAMPLED, CLIP_SIGMA = 1.0, 4, 200, 5.0
+RIDGE, FOLDS, RESAMPLED, CLIP_SIGMA = 1.0, 4, 200, 5.0
 FEATURES = (
     "share of the brightest pixel",
     "share of 3 x 3 px",
@@ -70,7 +71,7 @@ def window_features(dn: FloatArray, position_px: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Separability:
-    """How well two kinds of images can be told apart."""
+    """Separability of two kinds of images."""
 
     area: float  # Under the ROC curve
     error: float  # Standard deviation, by bootstrap
@@ -79,29 +80,20 @@ class Separability:
 
 
 def separability(features: FloatArray, kind: IntArray, group: IntArray) -> Separability:
-    """Cross-validated logistic regression of two kinds.
-
-    Parameters
-    ----------
-    features : (n, f)
-        Finite features.
-    kind : (n,)
-        0 or 1.
-    group : (n,)
-        Frame; frames are left out together, in four parts.
+    """Logistic regression of features (n, f) of kinds 0 and 1 (n,), cross-validated over four folds of groups (n,).
 
     Raises
     ------
     DomainError
-        If one kind is missing.
+        If a kind is missing.
     """
     if len(np.unique(kind)) != 2:
         raise DomainError("separability: samples of both kinds, 0 and 1, are needed")
     middle, spread = np.median(features, axis=0), features.std(axis=0) + 1e-12
     z = np.clip((features - middle) / spread, -CLIP_SIGMA, CLIP_SIGMA)
     score = np.zeros(len(kind))
-    for part in np.unique(group % PARTS):
-        test = group % PARTS == part
+    for fold in np.unique(group % FOLDS):
+        test = group % FOLDS == fold
         if len(np.unique(kind[~test])) == 2:
             score[test] = z[test] @ _logistic_weights(z[~test], kind[~test])[1:]
     rng = np.random.default_rng(1)
@@ -121,7 +113,7 @@ def _logistic_weights(z: FloatArray, kind: NDArray[np.integer]) -> FloatArray:
     def loss(w: FloatArray) -> tuple[float, FloatArray]:
         t = design @ w
         value = float(np.logaddexp(0.0, t).sum() - t[kind == 1].sum() + 0.5 * RIDGE * (w[1:] ** 2).sum())
-        slope = design.T @ (1.0 / (1.0 + np.exp(-t)) - kind)
+        slope = design.T @ (expit(t) - kind)
         slope[1:] += RIDGE * w[1:]
         return value, slope
 

@@ -1,12 +1,12 @@
 """Sub-pixel edge of a round spot: crossings of one brightness level along spokes from an approximate centre.
 
-A spot with a soft edge is located as well as a sharp one, because any contour of equal brightness serves: a blurred
-round disk has round contours about its own centre. Each spoke is the mean of several rays; around the crossing a
-straight line is fitted to brightness against radius, which uses all pixels there, gives a standard error, and leaves
-the same small curvature error at every angle, which changes the radius and not the centre.
+Any contour of equal brightness locates a spot, with a soft edge as well as with a sharp one: the contours of a blurred
+round disk are round about its centre. Each spoke is the mean of several rays; a straight line is fitted to brightness
+against radius around the crossing, which uses all pixels there, gives a standard error, and has the same small
+curvature error at every angle, which changes the radius and not the centre.
 
-Points are measured in a plane (such as mm on a screen) through a mapping to pixels, so that an oblique picture is
-measured in the plane and not in its projection, whose ellipses have displaced centres.
+Points are measured in a plane (such as mm on a screen) through a mapping to pixels: in the projection of an oblique
+picture the centres of ellipses are displaced.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ Mapping = Callable[[FloatArray], FloatArray]
 class Spokes:
     """Brightness along rays from a centre."""
 
-    centre: FloatArray  # (2,) Where they start, in the plane
+    centre: FloatArray  # (2,) In the plane
     angle_rad: FloatArray  # (k,) Direction of each spoke, the mean of its rays
     radius: FloatArray  # (m,) Sampled distances
     value: FloatArray  # (k, m) Mean brightness of a spoke's rays; NaN outside the image
@@ -44,8 +44,7 @@ class Spokes:
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
-        freeze(self, "centre", shape=(2,))
-        freeze_all(self, angle_rad=("k",), radius=("m",), sizes=sizes)
+        freeze_all(self, centre=(2,), angle_rad=("k",), radius=("m",), sizes=sizes)
         freeze(self, "value", shape=("k", "m"), finite=False, sizes=sizes)
 
 
@@ -78,13 +77,8 @@ def sample_spokes(
     spokes: int = 120,
     rays: int = 5,
 ) -> Spokes:
-    """Brightness along spokes.
-
-    Shapes: ``image`` (h, w), ``centre`` (2,), ``radius`` (m,).
-    """
-    brightness = np.asarray(image, np.float64)
-    distance = np.asarray(radius, np.float64)
-    middle = np.asarray(centre, np.float64)
+    """Brightness of an image (h, w) along spokes from a centre (2,) at increasing radii (m,)."""
+    brightness, distance, middle = (np.asarray(value, np.float64) for value in (image, radius, centre))
     if spokes < 8 or rays < 1 or brightness.ndim != 2:
         raise DomainError(f"spokes = {spokes}, rays = {rays}: at least 8 spokes of 1 ray in an image (h, w) are needed")
     if distance.ndim != 1 or len(distance) < 5 or not np.all(np.diff(distance) > 0):
@@ -110,33 +104,27 @@ def _step_px(pixel: FloatArray) -> float:
 
 
 def edge_crossings(spokes: Spokes, level: ArrayLike, *, rising: bool, half_width: float) -> EdgePoints:
-    """Points at which the brightness crosses a level, at most one per spoke.
-
-    Shapes: ``level`` (k,).
-    """
+    """Points at which the brightness crosses a level, () or of each spoke (k,); at most one per spoke."""
     value, radius = spokes.value, spokes.radius
-    wanted = np.broadcast_to(np.asarray(level, float), (len(value),))
-    guess = _first_crossing(smoothed(spokes, half_width), radius, wanted, rising=rising)
-    found, error = np.full(len(value), np.nan), np.full(len(value), np.nan)
+    level = np.broadcast_to(np.asarray(level, float), (len(value),))
+    crossing = _first_crossing(smoothed(spokes, half_width), radius, level, rising=rising)
     for _ in range(2):
-        found, error = _line_crossing(value, radius, wanted, guess, half_width)
-        guess = found
+        crossing, error = _line_crossing(value, radius, level, crossing, half_width)
     error = error * np.sqrt(INTERPOLATED / min(spokes.step_px, 1.0))
-    good = np.isfinite(found) & np.isfinite(error) & (error > 0)
+    good = np.isfinite(crossing) & np.isfinite(error) & (error > 0)
     along = np.stack([np.cos(spokes.angle_rad), np.sin(spokes.angle_rad)], axis=1)
-    return EdgePoints(
-        point=(spokes.centre + found[:, None] * along)[good], sigma=error[good], level=float(np.mean(wanted))
-    )
+    point = spokes.centre + crossing[:, None] * along
+    return EdgePoints(point=point[good], sigma=error[good], level=float(np.mean(level)))
 
 
 def smoothed(spokes: Spokes, half_width: float) -> FloatArray:
     """Running means (k, m) of the profiles over ``half_width``; NaN stays NaN."""
     step = float(np.median(np.diff(spokes.radius)))
     size = max(round(half_width / step), 1)
-    known = np.isfinite(spokes.value)
-    weight = uniform_filter1d(known.astype(float), size, axis=1, mode="nearest")
-    mean = uniform_filter1d(np.where(known, spokes.value, 0.0), size, axis=1, mode="nearest")
-    return np.where(known, mean / np.maximum(weight, 1e-9), np.nan)
+    finite = np.isfinite(spokes.value)
+    weight = uniform_filter1d(finite.astype(float), size, axis=1, mode="nearest")
+    mean = uniform_filter1d(np.where(finite, spokes.value, 0.0), size, axis=1, mode="nearest")
+    return np.where(finite, mean / np.maximum(weight, 1e-9), np.nan)
 
 
 def _first_crossing(value: FloatArray, radius: FloatArray, level: FloatArray, *, rising: bool) -> FloatArray:
@@ -147,44 +135,47 @@ def _first_crossing(value: FloatArray, radius: FloatArray, level: FloatArray, *,
     at = np.argmax(change, axis=1) if rising else last - np.argmax(change[:, ::-1], axis=1)
     rows = np.arange(len(value))
     low, high = value[rows, at], value[rows, at + 1]
-    gap = np.where(high != low, high - low, 1.0)
-    place = radius[at] + (level - low) / gap * (radius[at + 1] - radius[at])
-    return np.where(change.any(axis=1), place, np.nan)
+    difference = np.where(high != low, high - low, 1.0)
+    crossing = radius[at] + (level - low) / difference * (radius[at + 1] - radius[at])
+    return np.where(change.any(axis=1), crossing, np.nan)
 
 
 def _pooled(squares: FloatArray, freedom: FloatArray, usable: NDArray[np.bool_]) -> FloatArray:
-    """Variance about the lines, from each spoke and its neighbours: one alone has too few samples to be weighted by."""
+    """Variance about the lines, from each spoke and its neighbours: a single spoke has too few samples."""
     size = min(POOL, len(squares))
-    total = uniform_filter1d(np.where(usable, squares, 0.0), size, mode="wrap")
-    known = uniform_filter1d(np.where(usable, freedom, 0.0), size, mode="wrap")
-    return np.asarray(np.maximum(total, 0.0) / np.maximum(known, 1e-9))
+    total, degrees = (
+        uniform_filter1d(np.where(usable, values, 0.0), size, mode="wrap") for values in (squares, freedom)
+    )
+    return np.asarray(np.maximum(total, 0.0) / np.maximum(degrees, 1e-9))
 
 
 def _line_crossing(
     value: FloatArray, radius: FloatArray, level: FloatArray, guess: FloatArray, half_width: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Crossing of a line fitted around ``guess``, and its error from the scatter about the lines; weights fall to the
-    ends, so that the samples that a window takes in do not move it from spoke to spoke."""
+    """Crossing of a line fitted around ``guess``, and its error from the scatter about the lines.
+
+    Weights fall to the ends, so that samples that enter the window do not move the crossing from spoke to spoke.
+    """
     offset = radius[None, :] - guess[:, None]
     inside = (np.abs(offset) < half_width) & np.isfinite(value)
     complete = (guess - half_width >= radius[0]) & (guess + half_width <= radius[-1])
-    safe = np.where(inside, offset, 0.0)
-    filled = np.where(inside, value, 0.0)
-    weight = np.where(inside, 1.0 - (safe / half_width) ** 2, 0.0)
+    x, y = np.where(inside, offset, 0.0), np.where(inside, value, 0.0)
+    weight = np.where(inside, 1.0 - (x / half_width) ** 2, 0.0)
     count, total = inside.sum(1), np.maximum(weight.sum(1), 1e-12)
-    mean_x, mean_y = (weight * safe).sum(1) / total, (weight * filled).sum(1) / total
-    dx, dy = np.where(inside, safe - mean_x[:, None], 0.0), np.where(inside, filled - mean_y[:, None], 0.0)
-    spread = (weight * dx**2).sum(1)
-    known = np.where(spread > 0, spread, 1.0)
-    slope = (weight * dx * dy).sum(1) / known
-    usable = complete & (count >= 4) & (spread > 0) & (np.abs(slope) > 0)
+    mean_x, mean_y = (weight * x).sum(1) / total, (weight * y).sum(1) / total
+    dx, dy = np.where(inside, x - mean_x[:, None], 0.0), np.where(inside, y - mean_y[:, None], 0.0)
+    moment = (weight * dx**2).sum(1)
+    determined = moment > 0
+    moment = np.where(determined, moment, 1.0)
+    slope = (weight * dx * dy).sum(1) / moment
+    usable = complete & (count >= 4) & determined & (np.abs(slope) > 0)
     divisor = np.where(usable, slope, 1.0)
-    arm = (level - mean_y) / divisor
-    scatter = np.where(inside, dy - slope[:, None] * dx, 0.0)
-    variance = _pooled((scatter**2).sum(1), np.maximum(count - 2, 0), usable)
+    lever = (level - mean_y) / divisor
+    residual = np.where(inside, dy - slope[:, None] * dx, 0.0)
+    variance = _pooled((residual**2).sum(1), np.maximum(count - 2, 0), usable)
     of_mean = (weight**2).sum(1) / total**2
-    of_slope = (weight**2 * dx**2).sum(1) / known**2
-    error = np.sqrt(variance * (of_mean + arm**2 * of_slope)) / np.abs(divisor)
-    shift = mean_x + arm
+    of_slope = (weight**2 * dx**2).sum(1) / moment**2
+    error = np.sqrt(variance * (of_mean + lever**2 * of_slope)) / np.abs(divisor)
+    shift = mean_x + lever
     usable &= np.abs(shift) <= half_width
     return np.where(usable, guess + shift, np.nan), np.where(usable, error, np.nan)

@@ -3,10 +3,10 @@
 The sum of squared orthogonal distances (Gander, Golub & Strebel 1994, BIT 34, 558) is minimal, from an algebraic start:
 Taubin's fit (1991, IEEE PAMI 13, 1115) in the form of Chernov (2010, *Circular and Linear Regression*, sec. 5.9).
 
-Outliers. Circles through three points each, an even selection of all such sets and no random draw, are ranked by the
-distance within which most points lie (least median of squares, Rousseeuw 1984, JASA 79, 871); the points that fit the
-best circle start a fit that includes and excludes points until they are stable. Up to 40 % of the points may be
-outliers, even on another circle; with more the fit is refused.
+Outliers. Circles through three points each, an even selection of all such sets without random draws, are ranked by the
+distance within which most points lie (least median of squares, Rousseeuw 1984, JASA 79, 871); the points near the best
+circle start a fit that includes and excludes points until they are stable. Up to 40 % of the points may be outliers,
+even on another circle; with more the fit is refused.
 
 The covariance of the parameters is ``(J^T W J)^-1`` with the stated errors of the points, scaled up by the reduced
 chi-square if the points scatter more than stated, and by the variance of an estimated scatter (Student's law). An arc
@@ -36,28 +36,27 @@ STEPS = 50
 CLIP_SIGMA = 4.0
 CLIP_ROUNDS = 20
 SETS = 150
-"""Circles tried: at 40 % wrong points a fifth of all triples hold none."""
-LEAST = 4
+"""Number of trial circles: with 40 % outliers a fifth of all triples are without outliers."""
+FEWEST = 4
 """Points of a fit."""
 CURVED_SIGMA = 3.0
-"""Sigmas by which a curvature must differ from zero for its circle to be told from a line."""
+"""Smallest significance of the curvature of a circle, against a line."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CircleFit:
     """A fitted circle, and the residuals of the fit."""
 
-    centre: FloatArray  # (2,) Its centre, in the unit of the points
-    radius: float  # Its radius
-    covariance: FloatArray  # (3, 3) Of x, y and radius; infinite on the diagonal for what the points do not determine
+    centre: FloatArray  # (2,) In the unit of the points
+    radius: float
+    covariance: FloatArray  # (3, 3) Of x, y and radius; infinite on the diagonal for undetermined parameters
     rms: float  # Of the orthogonal distances of the points used
-    # Weighted squared distances of the points used, beside their expectation; not tested without stated errors
-    misfit: ChiSquare
+    misfit: ChiSquare  # Weighted squared distances of the points used; not tested without stated errors
     used: NDArray[np.bool_]  # (n,) Points that were not rejected
-    # "converged"; "singular": the points do not determine the circle, or cannot tell it from a line; "refused": more
-    # than 40 % of the points do not fit, or they scatter by more than 10 times their sigma; "iteration_limit"
+    # "converged"; "singular": undetermined, or indistinguishable from a line; "refused": more than 40 % outliers, or
+    # scatter above 10 times sigma; "iteration_limit"
     status: str
-    message: str  # One line on the status, on points left out, and on a stated noise that the points contradict
+    message: str  # One line on the status, on outliers, and on a stated noise that the points contradict
 
     def __post_init__(self) -> None:
         if self.status not in STATUSES:
@@ -92,30 +91,30 @@ def fit_circle(points: ArrayLike, *, sigma: ArrayLike | None = None) -> CircleFi
     Shapes: ``points`` (n, 2), ``sigma`` (n,).
     """
     point, error, stated = _checked(points, sigma)
-    used, settled = _consensus(point, error, stated), True
+    used, converged = _consensus(point, error, stated), True
     for _ in range(CLIP_ROUNDS):
-        value, settled = _least_squares(point[used], error[used], _taubin(point[used]))
-        pull = np.abs(_distance(point, value)[0]) / error
-        kept = _inliers(pull, pull[used], len(value), stated)
-        if np.array_equal(kept, used) or kept.sum() < LEAST:
+        value, converged = _least_squares(point[used], error[used], _taubin(point[used]))
+        distance = np.abs(_distance(point, value)[0]) / error
+        inliers = _inliers(distance, distance[used], len(value), stated)
+        if np.array_equal(inliers, used) or inliers.sum() < FEWEST:
             break
-        used = kept
+        used = inliers
     x, y, radius = value.tolist()
-    return CircleFit(centre=np.array([x, y]), radius=radius, **_judged(point, error, value, used, settled, stated))
+    return CircleFit(centre=np.array([x, y]), radius=radius, **_judged(point, error, value, used, converged, stated))
 
 
 def _consensus(point: FloatArray, error: FloatArray, stated: bool) -> NDArray[np.bool_]:
-    """Points (n,) that fit the circle which most of them fit best; see the module."""
+    """Inliers (n,) of the circle of least median of squares."""
     n, size = len(point), 3
     value = _circles(point[_even_sets(n, size, SETS)])
     rank = (n + size + 1) // 2
-    pull = _spread(value, point) / error
-    score = np.partition(pull, rank - 1, axis=1)[:, rank - 1]
-    best = pull[int(np.nanargmin(score))] if np.isfinite(score).any() else np.zeros(n)
-    # the rank-th of n distances, corrected for the few points that made the circle (Rousseeuw & Leroy 1987, ch. 5)
+    distance = _distances(value, point) / error
+    score = np.partition(distance, rank - 1, axis=1)[:, rank - 1]
+    best = distance[int(np.nanargmin(score))] if np.isfinite(score).any() else np.zeros(n)
+    # the rank-th of n distances, corrected for the few points that define the circle (Rousseeuw & Leroy 1987, ch. 5)
     nearest = np.sort(best)[:rank] * (1.0 + 5.0 / max(n - size, 1))
-    kept = _inliers(best, np.concatenate([nearest, np.full(n - rank, nearest[-1])]), 0, stated)
-    return kept if kept.sum() >= LEAST else np.ones(n, bool)
+    inliers = _inliers(best, np.concatenate([nearest, np.full(n - rank, nearest[-1])]), 0, stated)
+    return inliers if inliers.sum() >= FEWEST else np.ones(n, bool)
 
 
 @lru_cache(maxsize=16)
@@ -131,8 +130,8 @@ def _even_sets(n: int, size: int, count: int) -> NDArray[np.int64]:
 
 def _checked(points: ArrayLike, sigma: ArrayLike | None) -> tuple[FloatArray, FloatArray, bool]:
     point = np.asarray(points, np.float64)
-    if point.ndim != 2 or point.shape[1] != 2 or len(point) < LEAST:
-        raise DomainError(f"edge points of shape {point.shape}; at least {LEAST} points (n, 2) are needed for the fit")
+    if point.ndim != 2 or point.shape[1] != 2 or len(point) < FEWEST:
+        raise DomainError(f"edge points of shape {point.shape}; at least {FEWEST} points (n, 2) are needed for the fit")
     error = np.broadcast_to(np.asarray(1.0 if sigma is None else sigma, np.float64), (len(point),))
     if not (np.all(np.isfinite(point)) and np.all(np.isfinite(error))):
         raise DomainError("an edge point or its sigma is not finite; drop such points before the fit")
@@ -163,9 +162,9 @@ def _taubin(point: FloatArray) -> FloatArray:
 
 def _distance(point: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Signed distances (n,) outwards and their derivatives (n, 3)."""
-    away = point - value[:2]
-    length = np.maximum(np.hypot(*away.T), 1e-300)
-    outward = away / length[:, None]
+    offset = point - value[:2]
+    length = np.maximum(np.hypot(*offset.T), 1e-300)
+    outward = offset / length[:, None]
     return length - value[2], np.column_stack([-outward, -np.ones(len(point))])
 
 
@@ -185,12 +184,12 @@ def _least_squares(point: FloatArray, error: FloatArray, start: FloatArray) -> t
     return fit.x, fit.success
 
 
-def _inliers(pull: FloatArray, among: FloatArray, fitted: int, stated: bool) -> NDArray[np.bool_]:
-    """Which distances ``pull`` lie within the limit, by the median of those ``among`` which it is judged."""
-    freedom = len(among) / max(len(among) - fitted, 1)
-    scatter = float(np.median(among)) / 0.6745 * np.sqrt(freedom)  # median absolute deviation of a normal
+def _inliers(distance: FloatArray, sample: FloatArray, fitted: int, stated: bool) -> NDArray[np.bool_]:
+    """Distances [sigma] within a limit by the median of a sample of them, less the number of fitted parameters."""
+    freedom = len(sample) / max(len(sample) - fitted, 1)
+    scatter = float(np.median(sample)) / 0.6745 * np.sqrt(freedom)  # median absolute deviation of a normal
     limit = CLIP_SIGMA * (max(scatter, 1.0) if stated else scatter)
-    return np.asarray(pull <= max(limit, 1e-12))
+    return np.asarray(distance <= max(limit, 1e-12))
 
 
 def _judged(
@@ -198,30 +197,31 @@ def _judged(
     error: FloatArray,
     value: FloatArray,
     used: NDArray[np.bool_],
-    settled: bool,
+    converged: bool,
     stated: bool,
 ) -> dict[str, Any]:
     """Covariance, statistics and status of a fit, by field name."""
     distance, jacobian = _distance(point[used], value)
-    pull = distance / error[used]
-    freedom = len(pull) - len(value)
-    sum2 = float(pull @ pull)
+    residual = distance / error[used]
+    freedom = len(residual) - len(value)
+    sum2 = float(residual @ residual)
     variance = sum2 / max(freedom, 1)
-    # a scatter that was estimated follows Student's law: two sigmas hold 95 %
+    # an estimated scatter follows Student's law: two sigmas contain 95 %
     student = (float(stdtrit(max(freedom, 1), 0.975)) / 1.959964) ** 2
     factor = max(variance, 1.0) if stated else variance * student
-    found = covariance_of_jacobian(jacobian / error[used][:, None], ("x", "y", "radius"), factor=factor)
-    covariance, undetermined = found.covariance, found.message
-    size, spread = float(abs(value[2])), float(np.sqrt(covariance[2, 2]))
-    if not size > CURVED_SIGMA * spread and sum2 > 0:
+    estimate = covariance_of_jacobian(jacobian / error[used][:, None], ("x", "y", "radius"), factor=factor)
+    covariance, undetermined = estimate.covariance, estimate.message
+    radius, sigma = float(abs(value[2])), float(np.sqrt(covariance[2, 2]))
+    if not radius > CURVED_SIGMA * sigma and sum2 > 0:
         covariance = np.diag(np.full(len(value), np.inf))
-        line = f"the points cannot be told from a line: radius {size:.3g} +- {spread:.2g}"
+        line = f"the points cannot be told from a line: radius {radius:.3g} +- {sigma:.2g}"
         undetermined = joined(line, undetermined)
-    left_out = np.count_nonzero(~used)
+    outliers = np.count_nonzero(~used)
     misfit = ChiSquare(value=sum2, degrees_of_freedom=max(freedom, 0) if stated else 0)
-    many = left_out > LARGEST_WRONG_PART * len(used)
-    far = misfit.ratio > LARGEST_RATIO
-    status = "singular" if undetermined else "refused" if many or far else "converged" if settled else "iteration_limit"
+    too_many = outliers > LARGEST_WRONG_PART * len(used)
+    status = "converged" if converged else "iteration_limit"
+    if undetermined or too_many or misfit.ratio > LARGEST_RATIO:
+        status = "singular" if undetermined else "refused"
     return {
         "covariance": covariance,
         "rms": float(np.sqrt(np.mean(distance**2))),
@@ -230,9 +230,9 @@ def _judged(
         "status": status,
         "message": joined(
             undetermined,
-            "" if settled else f"not converged after {STEPS} steps",
-            f"{left_out} of {len(used)} points do not lie on the circle" if left_out else "",
-            f"more than {100 * LARGEST_WRONG_PART:g} % of them" if many else "",
+            "" if converged else f"not converged after {STEPS} steps",
+            f"{outliers} of {len(used)} points do not lie on the circle" if outliers else "",
+            f"more than {100 * LARGEST_WRONG_PART:g} % of them" if too_many else "",
             misfit.note,
         ),
     }
@@ -248,10 +248,9 @@ def _circles(sets: FloatArray) -> FloatArray:
     return np.column_stack([x + sets[:, 0, 0], y + sets[:, 0, 1], np.hypot(x, y)])
 
 
-def _spread(value: FloatArray, point: FloatArray) -> FloatArray:
-    """Distances (m, n) of all points from all circles; infinite where there is none."""
-    out = np.full((len(value), len(point)), np.inf)
-    known: NDArray[np.bool_] = np.asarray(np.isfinite(value).all(axis=1))
-    x, y, radius = (column[:, None] for column in value[known].T)
-    out[known] = np.abs(np.sqrt((point[:, 0] - x) ** 2 + (point[:, 1] - y) ** 2) - radius)
-    return out
+def _distances(value: FloatArray, point: FloatArray) -> FloatArray:
+    """Distances (m, n) of all points from all circles; infinite for circles that are not finite."""
+    x, y, radius = (column[:, None] for column in value.T)
+    with np.errstate(invalid="ignore"):
+        distance = np.abs(np.sqrt((point[:, 0] - x) ** 2 + (point[:, 1] - y) ** 2) - radius)
+    return np.where(np.isfinite(value).all(axis=1, keepdims=True), distance, np.inf)

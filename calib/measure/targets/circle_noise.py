@@ -6,9 +6,9 @@ R and the slope s of the brightness there,
 
     g = W(r - R) cos(theta) / (pi R |s|)           per unit area, for x; sin(theta) for y.
 
-For pixel noise of variance v, sampled along n rays with pixels left out between them, bilinear interpolation leaves 2/3
-of the variance across a ray, and 3 / (5 h) of it along:  var = (2 / n) (2/3) 3 v / (5 h s^2). A spoke of the hole's
-edge takes half of the brightness next to the edge as its level, whose noise is added.
+For pixel noise of variance v, sampled along n rays separated by unused pixels, bilinear interpolation leaves 2/3 of the
+variance across a ray, and 3 / (5 h) of it along:  var = (2 / n) (2/3) 3 v / (5 h s^2). The level of a spoke of the
+hole's edge is half of the brightness next to the edge, whose noise is added.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from optics.arrays import FloatArray
 
 ACROSS, ALONG = 2.0 / 3.0, 3.0 / 5.0
-"""Of white pixel noise: what bilinear interpolation leaves across a ray, and the integral of h W^2 along it."""
+"""Fractions of white pixel noise: after bilinear interpolation across a ray; integral of h W^2 along it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,10 +29,10 @@ class Contour:
     """A contour of a round spot or hole."""
 
     radius: float  # [px]
-    slope: float  # Parts of full brightness per px
+    slope: float  # Fraction of full brightness per px
     brightness: float  # At the contour
     half: float  # Half width of the window [px]
-    beside: float = 0.0  # Rim whose half, carried to the edge by a line, is the level; 0 for one level of all
+    rim: float = 0.0  # Brightness of the rim whose half, extrapolated by a line, is the level; 0 for a common level
 
 
 def line_weight(offset: FloatArray, half_px: float) -> FloatArray:
@@ -55,18 +55,9 @@ def blurred_step_slope(blur_px: float, half_px: float) -> float:
 
 
 def rim_contour(brightness: ArrayLike, radius_px: ArrayLike, hole_px: float, half_px: float, level: float) -> Contour:
-    """Contour low on the rim of a spot around a dark hole, on a profile of its brightness.
+    """Contour low on the rim of a spot around a dark hole, on a profile (n,) at equally spaced distances.
 
-    Parameters
-    ----------
-    brightness, radius_px : (n,)
-        Profile at equally spaced distances from the centre.
-    hole_px : float
-        Radius of the hole.
-    half_px : float
-        Half width of the window of the lines.
-    level : float
-        Level of the contour, as part of the brightest rim.
+    ``half_px``: half width of the window of the lines; ``level``: of the contour, as a fraction of the brightest rim.
     """
     bright, radius = np.asarray(brightness, float), np.asarray(radius_px, float)
     size = round(half_px / float(radius[1] - radius[0]))
@@ -78,48 +69,40 @@ def rim_contour(brightness: ArrayLike, radius_px: ArrayLike, hole_px: float, hal
 
 
 def centre_variance_px2(
-    contour: Contour, full_e: float, rays: int, pixel_e2: float, beside_e2: float, beside_px: tuple[float, float]
+    contour: Contour, full_e: float, rays: int, pixel_e2: float, rim_e2: float, rim_px: tuple[float, float]
 ) -> float:
-    """Variance of the centre of a fitted circle, per axis.
+    """Variance per axis of the centre of a circle fitted to a contour along all ``rays``; ``full_e``: full brightness.
 
-    Parameters
-    ----------
-    contour : Contour
-        The contour.
-    full_e : float
-        Electrons of full brightness.
-    rays : int
-        Rays of all spokes.
-    pixel_e2, beside_e2 : float
-        Variance of a pixel at the contour, and on the rim beside it.
-    beside_px : (2,)
-        Part of the rim, from the edge, through which the line of the level goes.
+    ``pixel_e2``, ``rim_e2``: variance of a pixel at the contour, and on the rim next to it, of which the range
+    ``rim_px`` from the edge determines the level.
     """
     along = ALONG / contour.half * pixel_e2
-    if contour.beside:
-        near, far = beside_px
+    if contour.rim:
+        near, far = rim_px
         middle, length = (near + far) / 2, far - near
-        along += 0.25 * (1.0 / length + 12.0 * middle**2 / length**3) * beside_e2
+        along += 0.25 * (1.0 / length + 12.0 * middle**2 / length**3) * rim_e2
     return 2.0 / rays * ACROSS * along / (contour.slope * full_e) ** 2
 
 
 def ray_weights(angle_rad: FloatArray, radius_px: FloatArray, blur_px: float, rays: int) -> FloatArray:
-    """How much light at an angle counts in the mean over all rays of cos and sin (2, n), per px of arc: rays stand
-    farther apart than the light of a particle is wide."""
-    apart = 2 * np.pi / rays
-    nearest = np.floor(angle_rad / apart)
+    """Weights (2, n) of light at an angle in the mean over all rays of cos and sin, per px of arc; the spacing of the
+    rays exceeds the width of the light of a particle."""
+    spacing = 2 * np.pi / rays
+    nearest = np.floor(angle_rad / spacing)
     total = np.zeros((2, len(angle_rad)))
     for step in (-1.0, 0.0, 1.0):
-        at = (nearest + step + 0.5) * apart
+        at = (nearest + step + 0.5) * spacing
         weight = np.exp(-0.5 * (radius_px * (angle_rad - at) / blur_px) ** 2) / (np.sqrt(2 * np.pi) * blur_px)
         total += weight * np.stack([np.cos(at), np.sin(at)])
     return np.asarray(total / rays)
 
 
-def hole_response(offset: FloatArray, half_px: float, blur_px: float, beside_px: tuple[float, float]) -> FloatArray:
-    """Change of brightness at a hole's edge per px of radius by light at an offset, less half of the same of the line
-    fitted to the rim beside it; the light is as wide as the blur."""
-    near, far = beside_px
+def hole_response(offset: FloatArray, half_px: float, blur_px: float, rim_px: tuple[float, float]) -> FloatArray:
+    """Change of brightness at a hole's edge per px of radius by light at an offset with the width of the blur.
+
+    Half of the change of the line fitted to the rim next to the edge is subtracted.
+    """
+    near, far = rim_px
     middle, length = (near + far) / 2, far - near
     fine = np.linspace(-12.0, 16.0, 2801)
     line = np.where((fine > near) & (fine < far), 1 / length - middle * (fine - middle) / (length**3 / 12), 0.0)
@@ -136,16 +119,16 @@ def light_offsets_px(
     hole: Contour,
     blur_px: float,
     rays: int,
-    beside_px: tuple[float, float],
+    rim_px: tuple[float, float],
 ) -> FloatArray:
-    """Centres of a spot, and of spot less hole, (2, 2) that single particles of light make of a concentric spot.
+    """Centres (2, 2) of a concentric spot, and of spot less hole, rendered by particles of light at ``x``, ``y`` (n,).
 
-    Shapes: ``x`` (n,) and ``y`` (n,) of the particles [px], ``per_px`` particles per px^2 of full brightness.
+    ``per_px``: particles per px^2 of full brightness.
     """
     radius = np.hypot(x, y)
     lit = radius > hole.radius
     angle, radius = np.arctan2(y[lit], x[lit]), radius[lit]
     weights = ray_weights(angle, radius, blur_px, rays)
     outward = line_weight(radius - spot.radius, spot.half) / abs(spot.slope)
-    inward = -hole_response(radius - hole.radius, hole.half, blur_px, beside_px) / hole.slope
+    inward = -hole_response(radius - hole.radius, hole.half, blur_px, rim_px) / hole.slope
     return np.array([2.0 * (response * weights).sum(1) / per_px for response in (outward, outward - inward)])

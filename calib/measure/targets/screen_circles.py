@@ -21,11 +21,11 @@ from optics.arrays import FloatArray
 from optics.errors import ConvergenceError
 
 RIM_LEVEL = 0.3
-"""Contour of the spot, as part of the brightest rim."""
+"""Contour of the spot, as a fraction of the brightest rim."""
 SPOKES, RAYS = 90, 3
 HOLE_MARGIN_PX = 4.0
-BESIDE_PX = (2.5, 7.0)
-"""Part of the rim, from the hole's edge, whose brightness a line carries to the edge."""
+RIM_PX = (2.5, 7.0)
+"""Range of the rim, from the hole's edge, whose brightness is extrapolated to the edge by a line."""
 EDGE_HALF_WIDTH_PX = {"aperture": 1.5, "spot": 14.0, "hole": 1.5}
 
 
@@ -35,15 +35,12 @@ class ScreenCamera(Protocol):
     @property
     def pitch_mm(self) -> float:
         """One pixel on the screen, in the middle of the field."""
-        ...
 
     def to_pixel(self, screen_mm: Any) -> FloatArray:
         """Pixels (n, 2) of points (n, 2) of the screen [mm]."""
-        ...
 
     def to_screen(self, pixel_px: Any) -> FloatArray:
         """Points (n, 2) of the screen [mm] of pixels (n, 2)."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,7 +48,7 @@ class ScreenPicture:
     """A read-out picture of the screen."""
 
     electrons: FloatArray  # (h, w) (DN - offset) / gain
-    camera: ScreenCamera  # The camera as it is believed to stand
+    camera: ScreenCamera  # The camera in its calibrated pose
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,9 +114,9 @@ def fit_hole(picture: ScreenPicture, aperture: CircleFit, *, advice: str = "") -
         spokes = _spokes(picture, centre, 0.6 * aperture.radius, aperture.radius + 9 * pitch)
         inside = spokes.radius < aperture.radius - 5 * pitch
         out_px = (spokes.radius - aperture.radius) / pitch
-        beside = (out_px > BESIDE_PX[0]) & (out_px < BESIDE_PX[1])
+        rim = (out_px > RIM_PX[0]) & (out_px < RIM_PX[1])
         dark = np.nanmedian(spokes.value[:, inside])
-        at_edge = _lines(spokes.radius[beside] - aperture.radius, spokes.value[:, beside])
+        at_edge = _lines(spokes.radius[rim] - aperture.radius, spokes.value[:, rim])
         edge = edge_crossings(spokes, 0.5 * (dark + at_edge), rising=True, half_width=width)
         fit = _circle(edge, "edge of the hole", advice)
         moved, centre = float(np.hypot(*(fit.centre - centre))), fit.centre
@@ -127,14 +124,14 @@ def fit_hole(picture: ScreenPicture, aperture: CircleFit, *, advice: str = "") -
 
 
 def _circle(edge: EdgePoints, what: str, advice: str) -> CircleFit:
-    """Circle whose covariance follows from the scatter of the points about it: the lines through a curved edge leave
-    equal residuals on every spoke, which are no noise."""
+    """Circle whose covariance follows from the scatter of the points about it: residuals of the lines by the curvature
+    of the edge are equal on every spoke, and no noise."""
     if len(edge) < SPOKES // 6:
         raise ConvergenceError(f"the {what} shows only {len(edge)} edge points on {SPOKES} spokes; {advice}")
     fit = fit_circle(edge.point, sigma=edge.sigma)
     if not fit.converged:
-        why = fit.message.partition(";")[0]
-        raise ConvergenceError(f"the {len(edge)} edge points of the {what} do not form a circle ({why}); {advice}")
+        reason = fit.message.partition(";")[0]
+        raise ConvergenceError(f"the {len(edge)} edge points of the {what} do not form a circle ({reason}); {advice}")
     return replace(fit, covariance=fit.covariance * min(fit.misfit.ratio**2, 1.0))
 
 

@@ -8,29 +8,28 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 
 MATCH_PX = 4.0
-"""A detection this close to a target point's nominal place is that point, with any lens."""
+"""A detection this close to the nominal position of a target point is that point, with any lens."""
 DISTORTED_FRACTION = 0.03
 """Additional tolerance by distortion, as a fraction of the distance from the middle of the target."""
 SEARCH_MARGIN_PX = 80
-"""How far the whole target may be displaced."""
+"""Largest displacement of the target."""
 
 
 def search_radius_px(nominal_px: FloatArray) -> float:
-    """How far from its nominal place a point is looked for: distortion and scale displace it, its neighbours do not."""
+    """Search radius about nominal positions (j, 2): displacement by distortion and scale, below half the spacing."""
     spread = float(np.linalg.norm(nominal_px - nominal_px.mean(0), axis=1).max())
-    apart = np.linalg.norm(nominal_px[:, None] - nominal_px[None], axis=2)
-    np.fill_diagonal(apart, np.inf)
-    return max(MATCH_PX, min(DISTORTED_FRACTION * spread, 0.4 * float(apart.min())))
+    distance = np.linalg.norm(nominal_px[:, None] - nominal_px[None], axis=2)
+    np.fill_diagonal(distance, np.inf)
+    return max(MATCH_PX, min(DISTORTED_FRACTION * spread, 0.4 * float(distance.min())))
 
 
 def match_points(
     position_px: FloatArray, nominal_px: FloatArray, *, match_px: float, where: str, unseen: str, merged: str
 ) -> FloatArray:
-    """Detections (n, 2) matched to the points at the nominal places (j, 2), in their order.
+    """Detections (n, 2) matched to the points at the nominal positions (j, 2), in their order.
 
-    The lens may displace the whole image (a moved element): that is estimated first, then each point looked for close
-    by. ``where``, ``unseen`` and ``merged`` are words of the messages: the readout, what to do where points are not
-    detected, and where two of them merge.
+    A displacement of the image (a moved element of the lens) is estimated first. ``where``, ``unseen`` and ``merged``
+    are words of the messages: the readout, and the advice where points are not detected or merge.
     """
     if not len(position_px):
         raise DomainError(f"{where}: no target point was detected; {unseen}")
@@ -50,7 +49,7 @@ def match_points(
 
 
 def common_shift(offset: FloatArray) -> FloatArray:
-    """The displacement (2,) that most (detection, point) pairs agree on."""
+    """Displacement (2,) of most (detection, point) pairs."""
     near = offset[np.linalg.norm(offset, axis=1) < SEARCH_MARGIN_PX + MATCH_PX]
     if not len(near):
         return np.zeros(2)

@@ -8,7 +8,7 @@ from calib.measure.background import _clipped_statistics
 from calib.measure.centroid_error.prediction import CentroidErrors
 from calib.measure.detection.matched_filter import _flag_maxima
 from calib.measure.epsf.build import _Grid
-from calib.measure.targets.circle_fit import _circles, _spread
+from calib.measure.targets.circle_fit import _circles, _distances
 from calib.records import NoiseModel, SensorImage
 
 
@@ -51,8 +51,8 @@ def test_distances_from_circles_through_three_points_each():
     np.testing.assert_allclose(circles[:5], np.column_stack([centre, radius]), rtol=1e-6)
     point = np.array([[3.0, 7.0], [-20.0, 11.0]])
     expected = np.abs(np.linalg.norm(point - centre[:, None], axis=2) - radius[:, None])
-    np.testing.assert_allclose(_spread(circles, point)[:5], expected, rtol=1e-6)
-    assert np.isinf(_spread(circles, point)[5]).all()  # on a line
+    np.testing.assert_allclose(_distances(circles, point)[:5], expected, rtol=1e-6)
+    assert np.isinf(_distances(circles, point)[5]).all()  # on a line
 
 
 def test_a_quadratic_psf_costs_nothing_and_a_cubic_its_third_differences():

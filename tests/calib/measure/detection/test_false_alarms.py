@@ -6,7 +6,7 @@ from scipy.stats import multivariate_normal
 
 from calib.measure.background import Background, estimate_background
 from calib.measure.detection.false_alarms import (
-    _chance_of_maximum,
+    _probability_of_maximum,
     clipped_noise,
     detection_probability,
     false_alarms,
@@ -21,7 +21,7 @@ SIDE = 1024
 
 @pytest.mark.parametrize(("one", "two"), [(0.6, 0.2), (0.8, 0.5), (0.2, 0.1)])
 def test_both_neighbours_below(one, two):
-    height, below = _chance_of_maximum(one, two)
+    height, below = _probability_of_maximum(one, two)
     law = multivariate_normal(cov=[[1.0 - one**2, two - one**2], [two - one**2, 1.0 - one**2]])
     assert below == pytest.approx(law.cdf(np.stack([height, height], -1) * (1.0 - one)), abs=1e-12)
 

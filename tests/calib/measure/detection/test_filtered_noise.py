@@ -68,7 +68,7 @@ def test_white_noise_stays_white(sky):
     assert "white" in str(noise)
     limit = noise.threshold(0.2)
     assert float(noise.false_alarms(limit)) == pytest.approx(0.2)
-    with pytest.raises(DomainError, match="false detections"):
+    with pytest.raises(DomainError, match="false alarms"):
         noise.threshold(1e9)
 
 

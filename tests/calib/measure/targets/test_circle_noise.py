@@ -18,10 +18,10 @@ from calib.measure.targets.circle_noise import (
     rim_contour,
 )
 from calib.measure.targets.screen_circles import (
-    BESIDE_PX,
     EDGE_HALF_WIDTH_PX,
     RAYS,
     RIM_LEVEL,
+    RIM_PX,
     SPOKES,
     ScreenPicture,
     fit_aperture,
@@ -53,9 +53,7 @@ def disk(centre_px, radius_px, soft_px):
 def test_variance_of_a_centre_by_pixels():
     """Falls with the square of the slope; interpolation between two pixels leaves the mean of t^2 + (1 - t)^2."""
     flat, steep = (
-        centre_variance_px2(
-            Contour(radius=200.0, slope=slope, brightness=0.5, half=4.0), 1e4, 270, 25.0, 0.0, BESIDE_PX
-        )
+        centre_variance_px2(Contour(radius=200.0, slope=slope, brightness=0.5, half=4.0), 1e4, 270, 25.0, 0.0, RIM_PX)
         for slope in (0.1, 0.2)
     )
     assert steep == pytest.approx(flat / 4.0)
@@ -74,13 +72,13 @@ def test_lines_through_profiles():
 @pytest.mark.parametrize("offset", [-1.0, 0.4, 3.0, 6.5])
 def test_response_of_the_hole_s_edge_is_the_blurred_window_less_half_the_line(offset):
     """SciPy's quadrature of the weights against a normal density; the line has integral 1 and no first moment."""
-    blur, (near, far) = 0.58, BESIDE_PX
+    blur, (near, far) = 0.58, RIM_PX
     line = np.linalg.solve(
         [[far - near, (far**2 - near**2) / 2], [(far**2 - near**2) / 2, (far**3 - near**3) / 3]], [1, 0]
     )
     window = quad(lambda u: 0.375 * (1.0 - (u / 2.0) ** 2) * norm.pdf(offset, u, blur), -2.0, 2.0)[0]
     rim = quad(lambda u: (line[0] + line[1] * u) * norm.pdf(offset, u, blur), near, far)[0]
-    found = hole_response(np.array([offset]), 2.0, blur, BESIDE_PX)[0]
+    found = hole_response(np.array([offset]), 2.0, blur, RIM_PX)[0]
     assert found == pytest.approx(window - 0.5 * rim, abs=2e-3)
 
 
@@ -105,7 +103,7 @@ def test_circles_of_a_screen_and_their_noise():
     assert contour.brightness == pytest.approx(norm.cdf(62.0 - contour.radius, scale=5.0), rel=0.02)
     edge = Contour(radius=40.0, slope=blurred_step_slope(0.7, 1.5), brightness=0.5, half=1.5)
     expected = np.sqrt(
-        sum(centre_variance_px2(one, full, SPOKES * RAYS, noise**2, 0.0, BESIDE_PX) for one in (edge, contour))
+        sum(centre_variance_px2(one, full, SPOKES * RAYS, noise**2, 0.0, RIM_PX) for one in (edge, contour))
     )
     scatter = np.sqrt(np.var(offsets, axis=0, ddof=1)[0].mean())
     assert scatter == pytest.approx(expected, rel=4.0 / np.sqrt(2 * 30) + 0.15)
@@ -122,10 +120,10 @@ def test_even_light_moves_no_centre():
     """Particles at every angle alike, on the rim; one more on one side moves the spot to that side."""
     angle = (np.arange(720) + 0.5) * np.pi / 360
     spot = Contour(radius=60.0, slope=-0.05, brightness=0.3, half=14.0)
-    hole = Contour(radius=40.0, slope=0.3, brightness=0.5, half=1.5, beside=1.0)
+    hole = Contour(radius=40.0, slope=0.3, brightness=0.5, half=1.5, rim=1.0)
     x, y = 60.0 * np.cos(angle), 60.0 * np.sin(angle)
-    even = light_offsets_px(x, y, 100.0, spot, hole, 0.6, 270, BESIDE_PX)
+    even = light_offsets_px(x, y, 100.0, spot, hole, 0.6, 270, RIM_PX)
     assert np.abs(even).max() < 1e-10
-    more = light_offsets_px(np.append(x, 60.0), np.append(y, 0.0), 100.0, spot, hole, 0.6, 270, BESIDE_PX)
+    more = light_offsets_px(np.append(x, 60.0), np.append(y, 0.0), 100.0, spot, hole, 0.6, 270, RIM_PX)
     assert more[0, 0] > 0.0
     assert abs(more[0, 1]) < 1e-3 * more[0, 0]
