@@ -230,12 +230,12 @@ def _sentence(model_class: type[BaseModel], fault: dict[str, Any]) -> str:
             for other in _owners(model_class, table[:-1]):
                 if location[-1] in other.model_fields:
                     chosen = key.removesuffix(f".{location[-1]}")
-                    return f"key {key!r} goes with {chosen}.kind = {other.model_fields['kind'].default!r}; set that too"
+                    return f"key {key!r} goes with {chosen}.kind = {_kind(other)!r}; set that too"
         near = _nearest(str(location[-1]), known, _dotted(model_class))
         hint = f"did you mean {near!r}?" if near else f"known keys: {', '.join(known)}"
         return f"unknown key {key!r}; {hint}"
     if kind == "union_tag_invalid":
-        known_kinds = [owner.model_fields["kind"].default for owner in _owners(model_class, location)]
+        known_kinds = [_kind(owner) for owner in _owners(model_class, location)]
         return str(unknown_name(f"{key}.kind", str(fault["ctx"]["tag"]), known_kinds))
     if kind == "missing":
         return f"key {key!r} is missing{_allowed(model_class, location)}"
@@ -311,17 +311,20 @@ def _owners(model_class: type[BaseModel], location: Location) -> list[type[BaseM
     """Models that the table at ``location`` may stand for; a union's tag chooses one, list indices lead nowhere."""
     owners = [model_class]
     for step in location:
-        fields = [owner.model_fields[step] for owner in owners if step in owner.model_fields]
-        if fields:
+        if _is_tag(owners, step):
+            owners = [owner for owner in owners if _kind(owner) == step]
+        elif fields := [owner.model_fields[step] for owner in owners if step in owner.model_fields]:
             owners = [model for field in fields for model in _models_in(field.annotation)]
-        elif _is_tag(owners, step):
-            owners = [owner for owner in owners if owner.model_fields["kind"].default == step]
     return owners
+
+
+def _kind(model_class: type[BaseModel]) -> Any:
+    return model_class.model_fields["kind"].default if "kind" in model_class.model_fields else None
 
 
 def _is_tag(owners: list[type[BaseModel]], step: int | str) -> bool:
     """Whether a step of a location is the ``kind`` of a model among other types, which is no key."""
-    kinds = [owner.model_fields["kind"].default for owner in owners if "kind" in owner.model_fields]
+    kinds = [_kind(owner) for owner in owners if "kind" in owner.model_fields]
     is_key = len(owners) == 1 and step in owners[0].model_fields  # a model's only kind may be called as one of its keys
     return step in kinds and not is_key
 

@@ -1,6 +1,6 @@
 r"""A measured lens without a prescription: positions, images and relative light of stars.
 
-The file (TOML; `optics.export.write.write_measured_lens` writes one, `load_lens` reads it; keys without a default are
+The file (TOML; `optics.export.write.write_measured_lens` writes it, `load_lens` reads it; keys without a default are
 needed):
 
     kind = "measured"
@@ -18,14 +18,19 @@ needed):
     colour_scale = [1.00001, 1.0, 0.99998]    # of distances from the principal point
     colour_shift_um = [[0.0, 0.1], [0.0, 0.0], [0.0, -0.1]]   # along columns and rows; default 0
 
-    [psf]                                     # before the pixel includes_charge_diffusion = true          # default;
-    false: that of the detector is added wavelength_nm = [500.0, 750.0]            # nodes of the tables; default one
-    wavelength: the same for all x_mm = [-4.0, 0.0, 4.0]                   # on the detector from its centre, along
-    columns; default [0]: everywhere y_mm = [-3.0, 0.0, 3.0]                   # and along rows [[component]] # of the
-    PSF: Gaussians; a number, or [wavelength][y][x] share = 0.86                              # of the light; the shares
-    of all components add up to 1 (to 1e-6) sigma_x_um = [[[4.1, 4.0, 4.1], ...], ...] sigma_y_um = 4.4 correlation =
-    0.0                         # of x and y, -1 ... 1, for oriented ellipses; default 0 offset_x_um = 0.0 # of its
-    middle from the place by the camera model; default 0 offset_y_um = 0.0
+    [psf]                                     # before the pixel
+    includes_charge_diffusion = true          # default; false: that of the detector is added
+    wavelength_nm = [500.0, 750.0]            # nodes of the tables; default: one, the same for all wavelengths
+    x_mm = [-4.0, 0.0, 4.0]                   # on the detector from its centre, along columns; default [0]: everywhere
+    y_mm = [-3.0, 0.0, 3.0]                   # along rows
+
+    [[component]]                             # Gaussians of the PSF; a number, or [wavelength][y][x]
+    share = 0.86                              # fraction of the light; all components add up to 1 (to 1e-6)
+    sigma_x_um = [[[4.1, 4.0, 4.1], ...], ...]
+    sigma_y_um = 4.4
+    correlation = 0.0                         # of x and y, -1 ... 1, for oriented ellipses; default 0
+    offset_x_um = 0.0                         # of its mean from the position by the camera model; default 0
+    offset_y_um = 0.0
 
     [vignetting]                              # default: none
     radius_mm = [0.0, 2.0, 4.0]               # on the detector from the principal point
@@ -36,8 +41,8 @@ needed):
     wavelength_nm = [400.0, 600.0, 1000.0]
     transmission = [0.8, 0.93, 0.9]           # on the axis; 0 ... 1, linear in between
 
-Between nodes shares, offsets and covariances are linear; beyond the first and last node they are constant. A class of
-stars (5040 K / T) enters by its effective wavelength: places and variances are linear in the light, so that a table
+Between nodes fractions, offsets and covariances are linear; beyond the first and last node they are constant. A class of
+stars (5040 K / T) enters by its effective wavelength: positions and variances are linear in the light, so that a table
 that is linear in wavelength gives the class its mean. A sampled PSF is a mixture too: one narrow Gaussian per sample,
 with its offset.
 """
@@ -47,6 +52,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import product
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -63,22 +69,22 @@ from optics.response import Response
 from optics.units import UM_MM
 from optics.validate import parse_model
 
-SHARES = 1e-6
-"""Error of the sum of the components' shares that is rounding; they are scaled to 1."""
+ROUNDING = 1e-6
+"""Tolerance of the sum of the components' fractions; they are scaled to 1."""
 WIDEST_CORRELATION = 0.95
-BEYOND = 1.02
-"""The field that a distortion holds for, over the one that was measured."""
+FIELD_MARGIN = 1.02
+"""Ratio of the field for which a distortion holds to the measured one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GaussianMixture:
-    """PSF before the pixel: k Gaussians at w wavelengths and on a grid of r by c places on the detector."""
+    """PSF before the pixel: k Gaussians at w wavelengths and on a grid of r by c positions on the detector."""
 
     wavelength_nm: FloatArray  # (w,) Nodes, increasing
-    y_mm: FloatArray  # (r,) Places along rows and columns from the centre of the detector
+    y_mm: FloatArray  # (r,) Positions along rows and columns from the centre of the detector
     x_mm: FloatArray  # (c,)
-    share: FloatArray  # (w, r, c, k) Light of each Gaussian; their sum is 1
-    offset_mm: FloatArray  # (w, r, c, k, 2) Its middle from the place of the star, along columns and rows
+    share: FloatArray  # (w, r, c, k) Fraction of the light in each Gaussian
+    offset_mm: FloatArray  # (w, r, c, k, 2) Mean from the position of the star, along columns and rows
     covariance_mm2: FloatArray  # (w, r, c, k, 3) Variance along columns, along rows, and covariance
 
     def __post_init__(self) -> None:
@@ -90,7 +96,7 @@ class GaussianMixture:
         freeze(self, "offset_mm", shape=("w", "r", "c", "k", 2), sizes=sizes)
         xx, yy, xy = np.moveaxis(freeze(self, "covariance_mm2", shape=("w", "r", "c", "k", 3), sizes=sizes), -1, 0)
         total = share.sum(-1)
-        if (share < 0.0).any() or np.abs(total - 1.0).max() > SHARES:
+        if (share < 0.0).any() or np.abs(total - 1.0).max() > ROUNDING:
             worst = total.flat[int(np.abs(total - 1.0).argmax())]
             raise DomainError(
                 f"component: shares from {share.min():g}, with a sum of {worst:.9g}; they must not be negative and "
@@ -112,24 +118,22 @@ class GaussianMixture:
     def at(
         self, x_mm: FloatArray, y_mm: FloatArray, wavelength_nm: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Shares (..., k), offsets (..., k, 2), covariances (..., k, 3) at places from the centre and wavelengths."""
+        """Fractions (..., k), offsets (..., k, 2), covariances (..., k, 3) at positions from the centre."""
         table = np.concatenate([self.share[..., None], self.offset_mm, self.covariance_mm2], axis=-1)
         at = np.broadcast_arrays(wavelength_nm, y_mm, x_mm)
-        found = np.zeros((*at[0].shape, *table.shape[3:]))
-        brackets = [
-            bracket(nodes, where) for nodes, where in zip((self.wavelength_nm, self.y_mm, self.x_mm), at, strict=True)
-        ]
-        for corner in np.ndindex(*(len(one) for one in brackets)):
-            index, weight = zip(*(one[i] for one, i in zip(brackets, corner, strict=True)), strict=True)
-            found += np.prod(np.broadcast_arrays(*weight), axis=0)[..., None, None] * table[index]
-        return found[..., 0], found[..., 1:3], found[..., 3:]
+        mean = np.zeros((*at[0].shape, *table.shape[3:]))
+        nodes = (self.wavelength_nm, self.y_mm, self.x_mm)
+        for corner in product(*(bracket(axis, position) for axis, position in zip(nodes, at, strict=True))):
+            index, weight = zip(*corner, strict=True)
+            mean += np.prod(np.broadcast_arrays(*weight), axis=0)[..., None, None] * table[index]
+        return mean[..., 0], mean[..., 1:3], mean[..., 3:]
 
     def moments(self, x_mm: FloatArray, y_mm: FloatArray, wavelength_nm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean offset (..., 2) [mm] and covariance (..., 3) [mm^2] of all light."""
         share, offset, covariance = self.at(x_mm, y_mm, wavelength_nm)
         mean = (share[..., None] * offset).sum(-2)
-        away = offset - mean[..., None, :]
-        products = np.stack([away[..., 0] ** 2, away[..., 1] ** 2, away[..., 0] * away[..., 1]], axis=-1)
+        x, y = np.moveaxis(offset - mean[..., None, :], -1, 0)
+        products = np.stack([x**2, y**2, x * y], axis=-1)
         return mean, np.asarray((share[..., None] * (covariance + products)).sum(-2))
 
 
@@ -176,7 +180,7 @@ class MeasuredLens:
                 "needed, the first at 0, no light negative"
             )
 
-    def place_mm(self, direction: FloatArray, wavelength_nm: FloatArray | float | None = None) -> FloatArray:
+    def position_mm(self, direction: FloatArray, wavelength_nm: FloatArray | float | None = None) -> FloatArray:
         """Positions of star images from the centre of the detector along columns and rows (..., 2) [mm], float64.
 
         Shapes: ``direction`` (..., 3) in cam, Z > 0, of any length; ``wavelength_nm`` broadcasts with it, the reference
@@ -190,20 +194,20 @@ class MeasuredLens:
         if len(self.colour_nm):
             brackets = bracket(self.colour_nm, wave)
             scale = sum(weight * self.colour_scale[at] for at, weight in brackets)
-            shift = sum(weight[..., None] * self.colour_shift_mm[at] for at, weight in brackets)
+            shift: Any = sum(weight[..., None] * self.colour_shift_mm[at] for at, weight in brackets)
             x, y = scale * x + shift[..., 0], scale * y + shift[..., 1]
         x, y, inside = np.broadcast_arrays(x, y, inside)
         return np.where(inside[..., None], np.stack([x, y], axis=-1) + self.principal_point_mm, np.nan)
 
     @property
     def reach_mm(self) -> float:
-        """Undistorted distance from the principal point up to which stars have a place; beyond they give no light."""
-        measured = self.focal_length_mm * math.tan(math.radians(min(BEYOND * self.max_field_deg, 89.0)))
+        """Undistorted distance from the principal point up to which stars are imaged; beyond it they give no light."""
+        measured = self.focal_length_mm * math.tan(math.radians(min(FIELD_MARGIN * self.max_field_deg, 89.0)))
         return max(measured, one_to_one_radius_mm(self.distortion))
 
-    def relative(self, place_mm: FloatArray) -> FloatArray:
-        """Light of stars at places (..., 2) of `place_mm`, relative to the axis; 0 where they have none."""
-        radius = np.linalg.norm(place_mm - self.principal_point_mm, axis=-1)
+    def relative(self, position_mm: FloatArray) -> FloatArray:
+        """Light of stars at positions (..., 2) of `position_mm`, relative to the axis; 0 where the position is NaN."""
+        radius = np.linalg.norm(position_mm - self.principal_point_mm, axis=-1)
         light = np.ones(radius.shape)
         if len(self.vignetting_mm):
             curve = PchipInterpolator(self.vignetting_mm, self.relative_light)
@@ -273,7 +277,7 @@ class _MeasuredFile(StrictTable):
 def measured_from_table(table: Mapping[str, Any], where: str) -> MeasuredLens:
     """Measured lens of the tables of a file; `ConfigError` or `DomainError` name a key that is wrong."""
     file = parse_model(_MeasuredFile, table, where)
-    camera, light, dark = file.camera, file.throughput, file.vignetting
+    camera, throughput, vignetting = file.camera, file.throughput, file.vignetting
     count = len(camera.colour_nm)
     try:
         return MeasuredLens(
@@ -288,14 +292,14 @@ def measured_from_table(table: Mapping[str, Any], where: str) -> MeasuredLens:
             colour_shift_mm=np.array(camera.colour_shift_um or np.zeros((count, 2))).reshape(-1, 2) * UM_MM,
             psf=_mixture(file),
             includes_charge_diffusion=file.psf.includes_charge_diffusion,
-            vignetting_mm=np.array([] if dark is None else dark.radius_mm),
-            relative_light=np.array([] if dark is None else dark.relative_light),
-            aperture_mm=light.aperture_mm,
+            vignetting_mm=np.array([] if vignetting is None else vignetting.radius_mm),
+            relative_light=np.array([] if vignetting is None else vignetting.relative_light),
+            aperture_mm=throughput.aperture_mm,
             transmission=Response(
                 name=f"transmission of {file.name}",
                 source=file.source,
-                wavelength_nm=np.array(light.wavelength_nm),
-                value=np.array(light.transmission),
+                wavelength_nm=np.array(throughput.wavelength_nm),
+                value=np.array(throughput.transmission),
             ),
             reference_wavelength_nm=file.reference_wavelength_nm,
             max_field_deg=file.max_field_deg,
@@ -309,21 +313,20 @@ def _mixture(file: _MeasuredFile) -> GaussianMixture:
     nodes = (file.psf.wavelength_nm or [file.reference_wavelength_nm], file.psf.y_mm, file.psf.x_mm)
     shape = tuple(map(len, nodes))
 
-    def whole(component: int, name: str) -> FloatArray:
-        value = getattr(file.component[component], name)
+    def table(component: int, name: str) -> FloatArray:
         try:
-            found = np.array(value, float)
+            values = np.array(getattr(file.component[component], name), float)
         except ValueError:
-            found = np.empty(0)
-        if found.ndim and found.shape != shape:
+            values = np.empty(0)
+        if values.ndim and values.shape != shape:
             raise DomainError(
                 f"component.{component}.{name}: a number, or a table of {shape[0]} wavelengths x {shape[1]} rows x "
                 f"{shape[2]} columns is needed, as many as psf.wavelength_nm, psf.y_mm and psf.x_mm have"
             )
-        return np.broadcast_to(found, shape)
+        return np.broadcast_to(values, shape)
 
     def each(name: str) -> FloatArray:
-        return np.stack([whole(k, name) for k in range(len(file.component))], axis=-1)
+        return np.stack([table(k, name) for k in range(len(file.component))], axis=-1)
 
     x, y = each("sigma_x_um") * UM_MM, each("sigma_y_um") * UM_MM
     if min(x.min(), y.min()) <= 0.0:

@@ -85,7 +85,7 @@ def _measured_points(
     lens: LensSystem, measured: MeasuredLens, v_cam: FloatArray, wave: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Image points by the camera model of a measured lens."""
-    position = measured.place_mm(v_cam, wave)
+    position = measured.position_mm(v_cam, wave)
     if np.isnan(position).any():
         raise ConvergenceError(
             f"lens {lens.name!r} was measured up to {lens.max_field_deg:g} deg from the axis; the direction lies "

@@ -142,7 +142,7 @@ def _measured_spots(
     """Points that stand for the Gaussians of a measured lens, as rays do for a spot; their moments are exact
     (Gauss-Laguerre nodes in half the square of the distance, equidistant azimuths)."""
     lens.check_wavelength(waves)
-    position = measured.place_mm(stars[:, None, :], waves)
+    position = measured.position_mm(stars[:, None, :], waves)
     x, y = np.moveaxis(position, -1, 0)
     fraction, offset, covariance = measured.psf.at(x, y, waves)
     half_square, weight = np.polynomial.laguerre.laggauss(order[0])

@@ -8,9 +8,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from refusals import refuses
 
-from optics.errors import ConfigError, DomainError
 from optics.frame_html import Marks, differences, frame_page, save_frame_page
 
 
@@ -118,26 +116,6 @@ def test_errors_are_those_to_the_nearest_reference():
     assert np.column_stack([arrows.dx_px, arrows.dy_px]).tolist() == [[0.25, -0.5], [1.0, 0.0]]
     assert not len(differences([], reference).x_px)
     assert not len(differences(measured, marks(0)).x_px)
-
-
-@pytest.mark.parametrize(
-    ("wrong", "said"),
-    [
-        ({"values": np.zeros((2, 3, 4))}, "two dimensions"),
-        ({"values": np.full((2, 2), np.nan)}, "finite"),
-        ({"flags": {"saturated": np.zeros((3, 3), bool)}}, "flags"),
-        ({"sky": np.zeros((4, 3))}, "sky"),
-    ],
-)
-def test_refusals(wrong, said):
-    refuses(DomainError, said, lambda: frame_page(**{"values": np.eye(2), **wrong}))
-
-
-def test_marks_that_cannot_be(tmp_path):
-    refuses(ConfigError, "circle, square", marks, shape="star")
-    refuses(DomainError, "flux has 2 values for 3", marks, columns={"flux": [1, 2]})
-    refuses(ConfigError, "cannot be written", lambda: save_frame_page(tmp_path / "absent" / "page.html", np.eye(2)))
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.slow

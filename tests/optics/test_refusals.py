@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 from ideal_pupil import ideal_pupil
+from lens_refusals import ROOMS as LENS_ROOMS
 from made_lens import made_glass
+from refusals import Row, rows
 
 from optics import QuarterWave, decentre, distortion_map, field_direction, get_glass, load_lens, tilt, with_wavefront
 from optics.attitude import attitude_from_angles
@@ -42,17 +44,6 @@ from optics.waves.wavefront import PathMap, zernike_map
 from optics.waves.zernike import zernike_numbers
 
 NAN, INF = math.nan, math.inf
-Row = tuple[str, Callable[[Path], Any], type[Exception], list[str]]
-
-
-def rows(kind: type[Exception], call: Callable[..., Any], *cases: tuple[Any, ...]) -> list[Row]:
-    """Rows of one function: cases are positional arguments, a mapping of keywords, and the words of the message."""
-    table = []
-    for *arguments, options, words in cases:
-        label = f"{getattr(call, 'func', call).__name__} {words[0]}"
-        table.append((label, lambda _, a=arguments, o=options: call(*a, **o), kind, words))
-    return table
-
 
 # --- rays, waves, light
 
@@ -345,7 +336,7 @@ FRAMES = [
     ),
 ]
 
-ROOMS = {"rays": RAYS, "waves": WAVES, "light": LIGHT, "frames": FRAMES}
+ROOMS = {**LENS_ROOMS, "rays": RAYS, "waves": WAVES, "light": LIGHT, "frames": FRAMES}
 
 
 @pytest.mark.parametrize(

@@ -65,7 +65,7 @@ class MeasuredPlanner(PupilPlanner):
 
     def position_px(self, direction: FloatArray, wavelength_nm: FloatArray) -> FloatArray:
         """Columns and rows (..., 2) of stars, broadcast; NaN where they have none."""
-        position = self.lens.place_mm(direction, wavelength_nm)
+        position = self.lens.position_mm(direction, wavelength_nm)
         return np.asarray(self.whole.centre_px + position / self.whole.pixel_pitch_mm)
 
     def chiefs(self, kernel: StarKernel, wavelength_nm: FloatArray) -> Chiefs:
@@ -77,7 +77,7 @@ class MeasuredPlanner(PupilPlanner):
 
     def received(self, nodes: FloatArray) -> FloatArray:
         """Light (n, t) of stars in directions (n, t, 3), relative to the axis."""
-        return self.lens.relative(self.lens.place_mm(nodes))
+        return self.lens.relative(self.lens.position_mm(nodes))
 
 
 class MeasuredImages:
@@ -231,7 +231,7 @@ def measured_psfs(
     """Effective PSFs of stars in directions (f, 3), about their centroids; wavelengths (w,) with their shares."""
     lens = camera.lens.measured
     assert lens is not None
-    position = camera.centre_px + lens.place_mm(direction[:, None], wavelength_nm) / camera.pixel_pitch_mm
+    position = camera.centre_px + lens.position_mm(direction[:, None], wavelength_nm) / camera.pixel_pitch_mm
     shares = np.broadcast_to(share, position.shape[:2])[:, None, None]
     made = _gaussians(camera, lens, position[:, None, None], wavelength_nm, shares)
     side = 2 * half_size_px + 1

@@ -115,7 +115,7 @@ def test_measured_camera_puts_stars_where_its_model_says(measured):
     camera = instrument.camera
     assert (camera.defocus_mm, camera.charge_diffusion_px) == (0.0, 0.0)
     known = instrument.pixel_map()
-    place = camera.centre_px + camera.lens.measured.place_mm(known.direction) / camera.pixel_pitch_mm
+    place = camera.centre_px + camera.lens.measured.position_mm(known.direction) / camera.pixel_pitch_mm
     np.testing.assert_allclose(known.pixel_px, place, atol=1e-9)
     assert known.pixel_px.min() < 15.0
 

@@ -89,18 +89,6 @@ def test_a_prescription_of_our_own_may_leave_them_out_too(tmp_path):
     assert load_lens(tmp_path / "closed.toml").surfaces[1].semi_diameter_mm == 7.0
 
 
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        ({"last": -1.0}, r"image plane lies 1 mm in front of surface 4 \(line \d+\)"),
-        ({"thick": 0.2, "front": 0.02}, r"surface 3 \(line \d+\) and surface 4 \(line \d+\) cross: .* N-BK7 between"),
-        ({"gap": 0.1, "front": -0.02}, r"surface 2 \(line \d+\) and surface 3 \(line \d+\) cross: .* overlap"),
-    ],
-)
-def test_what_is_refused_in_our_own_files_is_refused_in_others_with_their_lines(tmp_path, changes, said):
-    refuses(ConfigError, said, lambda: load_lens(written(tmp_path, **changes)))
-
-
 def test_rims_that_would_cross_are_closed_to_what_light_needs(tmp_path):
     """Edge thickness 4 - 2 h^2/(2 R) = 0 at h = 12.6 mm for R = 40 mm; a stated 20 mm is closed, light needs 8.6."""
     path = written(tmp_path, front=1 / 40, back=-1 / 40, wide='  DIAM 20 1 0 0 1 ""')

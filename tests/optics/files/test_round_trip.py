@@ -76,18 +76,6 @@ def test_tilts_mirrors_and_own_glass_come_back(suffix: str, tmp_path: Path) -> N
     assert largest_difference(file.lens, read_lens_file(written[-1]).lens) < 1e-12
 
 
-def test_what_a_format_cannot_hold_is_refused(tmp_path: Path) -> None:
-    file = read_lens_file(list_lenses()[0])
-    refuses(ConfigError, r"\.toml", write_lens, file, tmp_path / "lens.len")
-    refuses(ConfigError, "cannot be written", write_lens, file, tmp_path / "nowhere" / "lens.zmx")
-    surfaces = [*MIRRORS[:-1], {**MIRRORS[-1], "kind": "qbfs", "norm_radius_mm": 50.0, "q_mm": [1e-3]}]
-    surfaces[-1].pop("asphere")
-    surfaces[-1].pop("conic")
-    tables = {**FOLDED, "surface": surfaces}
-    file = LensFile(lens=lens_from_table(tables, where="test"), tables=tables)
-    refuses(ConfigError, "qbfs", write_lens, file, tmp_path / "lens.seq")
-
-
 @pytest.mark.parametrize(("kind", "number"), [("qbfs", "0"), ("qcon", "1")])
 def test_forbes_aspheres_are_told_apart_by_their_type(kind: str, number: str, tmp_path: Path) -> None:
     """XDAT 1 of QED_TYPE: 0 is Qbfs on a conic, 1 Qcon; Thorlabs ASL5040-UV has f = 37.0 for 40.0 mm by Qcon."""

@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-from refusals import refuses
 
-from optics.errors import ConfigError, DomainError
 from optics.glass.air import air_index
 
 # NIST Engineering Metrology Toolbox (Stone and Zimmerman), Ciddor equation, 450 ppm; printed to 1e-9:
@@ -60,20 +58,3 @@ def test_air_thins_out_to_vacuum() -> None:
         assert float(air_index(550.0, 20.0, 0.0, formula=formula)) == 1.0  # type: ignore[arg-type]
         thin, thick = (float(air_index(550.0, 20.0, p, formula=formula)) - 1.0 for p in (1.0, 2.0))  # type: ignore[arg-type]
         assert thick == pytest.approx(2.0 * thin, rel=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("call", "kind", "part"),
-    [
-        ({"formula": "cidor"}, ConfigError, "ciddor"),
-        ({"humidity": 0.5}, ConfigError, "ciddor"),
-        ({"temperature_c": 200.0}, DomainError, "200 C"),
-        ({"temperature_c": float("nan")}, DomainError, "nan"),
-        ({"pressure_hpa": -1.0}, DomainError, "-1 hPa"),
-        ({"humidity": 1.5, "formula": "ciddor"}, DomainError, r"1\.5"),
-        ({"co2_ppm": -1.0, "formula": "ciddor"}, DomainError, "-1 ppm"),
-        ({"wavelength_nm": [500.0, 100.0]}, DomainError, r"100 nm is outside 185 \.\.\. 10000 nm"),
-    ],
-)
-def test_conditions_outside(call: dict[str, object], kind: type[ValueError], part: str) -> None:
-    refuses(kind, part, air_index, **({"wavelength_nm": 550.0} | call))

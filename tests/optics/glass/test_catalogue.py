@@ -2,13 +2,9 @@
 
 import numpy as np
 import pytest
-from refusals import refuses
 
-from optics.errors import ConfigError, DomainError
 from optics.glass.air import air_index
-from optics.glass.catalogue import Glass, get_glass, glass_from_table, list_glasses
-from optics.glass.dispersion import Dispersion
-from optics.glass.thermal_index import ThermalDispersion
+from optics.glass.catalogue import get_glass, glass_from_table, list_glasses
 
 D, F, C = 587.5618, 486.1327, 656.2725
 PRINTED = [name for name in list_glasses() if get_glass(name).nd is not None]
@@ -190,82 +186,3 @@ def test_records_are_shared_and_their_curves_locked() -> None:
     assert get_glass("N-BK7") is glass
     with pytest.raises(ValueError, match="read-only"):
         glass.transmittance.value[0] = 0.5
-
-
-@pytest.mark.parametrize(
-    ("kind", "said", "call"),
-    [
-        (ConfigError, "N-FK51A", lambda: get_glass("N-FK51")),
-        (ConfigError, "SCHOTT", lambda: list_glasses("SHOTT")),
-        (DomainError, "BaF2.*dn/dT.*25 C", lambda: get_glass("BaF2").absolute_index(500.0, temperature_c=0.0)),
-        (DomainError, "S-BSL7.*95 C.*-40 ... 80 C", lambda: get_glass("S-BSL7").absolute_index(500, temperature_c=95)),
-        (ConfigError, "water.*air", lambda: get_glass("N-BK7").relative_index(500.0, medium="water")),
-    ],
-)
-def test_what_there_is_not_is_refused_with_what_there_is(kind, said, call) -> None:
-    assert "\n" not in refuses(kind, said, call)
-
-
-@pytest.mark.parametrize("value", [250.0, 3000.0, float("nan"), float("inf"), -500.0])
-def test_wavelength_outside_names_glass_value_and_range(value: float) -> None:
-    said = refuses(DomainError, f"{value:g} nm", get_glass("N-BK7").index, [500.0, value])
-    assert "N-BK7" in said
-    assert "300 ... 2500 nm" in said
-
-
-GOOD = {"B": [1.0, 0.2], "C": [0.01, 90.0], "range_nm": [400, 700], "source": "test"}
-
-
-@pytest.mark.parametrize(
-    ("change", "kind", "part"),
-    [
-        ({"rnage_nm": [400, 700]}, ConfigError, "range_nm"),
-        ({"B": [1.0]}, DomainError, "1 B and 2 C"),
-        ({"B": [1.0, float("nan")]}, DomainError, "not finite"),
-        ({"B": "abc"}, DomainError, "not a list of numbers"),
-        ({"C": [0.25, 90.0]}, DomainError, "resonance at 500 nm"),
-        ({"B": [-0.5, 0.2]}, DomainError, "falls to"),
-        ({"range_nm": [700, 400]}, DomainError, "range"),
-        ({"source": ""}, ConfigError, "source"),
-        ({"dndt": [1e-6, 0.0]}, ConfigError, "2 numbers"),
-        ({"reference_temperature_c": 2e301}, DomainError, "-273.15 ... 1000 C"),
-        ({"dndt": [0.0, 0.0, 0.0, 0.0, 0.0, 1e299]}, DomainError, "at most 1000 um"),
-        ({"nd": "high"}, DomainError, "nd"),
-        ({"transmittance": [0.9]}, ConfigError, "together, or none"),
-        ({"transmittance": [0.9, 1.2], "transmittance_nm": [400, 700], "transmittance_mm": 10}, DomainError, "1.2"),
-        (
-            {"transmittance": [0.9, 0.9], "transmittance_nm": [700, 400], "transmittance_mm": 10},
-            DomainError,
-            "increase",
-        ),
-        (
-            {"transmittance": [0.9, 0.9], "transmittance_nm": [400, 700], "transmittance_mm": -1},
-            DomainError,
-            "positive",
-        ),
-    ],
-)
-def test_tables_that_make_no_glass(change: dict[str, object], kind: type[ValueError], part: str) -> None:
-    said = refuses(kind, part, glass_from_table, "mine", GOOD | change)
-    assert "mine" in said
-    assert "\n" not in said
-
-
-def test_missing_coefficients_and_paths() -> None:
-    refuses(ConfigError, "'C' is missing", glass_from_table, "mine", {"B": [1.0]})
-    refuses(ConfigError, "a table with B and C", glass_from_table, "mine", 3)
-    refuses(DomainError, r"path -1 mm", lambda: get_glass("N-BK7").internal_transmittance(500.0, -1.0))
-    refuses(DomainError, "no internal transmittance", lambda: get_glass("MgF2").internal_transmittance(500.0, 1.0))
-    with pytest.raises(DomainError, match="not finite"):
-        ThermalDispersion(D0=float("nan"), D1=0.0, D2=0.0, E0=0.0, E1=0.0, lambda_tk_um=0.2)
-    with pytest.raises(DomainError, match="more than a tenth in 60 K"):  # of BK7, without its exponent
-        ThermalDispersion(D0=1.86, D1=1.31e-8, D2=-1.37e-11, E0=4.34e-7, E1=6.27e-10, lambda_tk_um=0.17)
-    refuses(ConfigError, "formula", Dispersion, "conradi", (1.5,))
-    with pytest.raises(ConfigError, match="together, or neither"):
-        Glass(
-            name="x",
-            source="s",
-            dispersion=Dispersion.sellmeier((1.0,), (0.01,)),
-            range_nm=(400.0, 700.0),
-            transmittance_mm=10.0,
-        )

@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-from refusals import refuses
 
 from optics import LensSystem, get_glass, lens_transmission, read_lens_file
-from optics.errors import ConfigError, DomainError
 from optics.glass.coating import BARE, Film, QuarterWave, Stack, TabulatedCoating
 from optics.lens.prescription import lens_from_table
 
@@ -106,30 +104,6 @@ def test_lens_files_name_coatings_of_surfaces_and_of_all() -> None:
     assert float(lens_transmission(stack, 600.0)) == pytest.approx(float(known), rel=1e-14)
     assert float(lens_transmission(quarter, 600.0)) == pytest.approx(float(known), rel=1e-14)
     assert lens_transmission(bare, 600.0, coating=QuarterWave()) < known
-
-
-@pytest.mark.parametrize(
-    ("more", "message"),
-    [
-        ({"reflectance": [[-0.1, 0.0]]}, "R = -0.1 for s light at 400 nm, 0 deg"),
-        ({"reflectance": [[0.1, 0.2]], "transmittance": [[0.8, 0.9]]}, r"R \+ T = 1.1 for s light at 700 nm"),
-        ({"reflectance": [[0.1]]}, "1 rows .angles. of 2 values"),
-        ({"reflectance_s": [[0.1, 0.1]]}, "give reflectance, or reflectance_s and reflectance_p"),
-        ({"angle_deg": [30.0, 10.0], "reflectance": [[0.1, 0.1]] * 2}, "angles of incidence must increase"),
-    ],
-)
-def test_tables_that_no_coating_can_have(more: dict[str, object], message: str) -> None:
-    table = {"kind": "table", "source": "test", "wavelength_nm": [400.0, 700.0], **more}
-    refuses(ConfigError, message, coated, coating={"ar": table}, default_coating="ar")
-
-
-def test_mistakes() -> None:
-    refuses(ConfigError, "coating 'arr'", coated, default_coating="arr")
-    refuses(DomainError, "extinction", Film, thickness_nm=10.0, index=1.5, extinction=-1.0)
-    refuses(ConfigError, "either a material or an index", Film, thickness_nm=10.0)
-    fold = {**PLATE["surface"][0], "medium": "mirror", "thickness_mm": -5.0, "coating": "ar"}  # type: ignore[index]
-    with pytest.raises(ConfigError, match="surface 0: the coating of a mirror is a table"):
-        coated(surface=[fold], coating={"ar": {"kind": "quarter_wave", "design_wavelength_nm": 550.0}})
 
 
 def test_zemax_coatings_are_taken_or_named(tmp_path) -> None:  # type: ignore[no-untyped-def]

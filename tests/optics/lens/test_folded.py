@@ -8,11 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from refusals import refuses
 from scipy.optimize import minimize_scalar
 
 from optics import Conic, Rays, chief_ray_points, draw_lens, load_lens, spot_moments, trace
-from optics.errors import ConfigError
 from optics.glass.catalogue import get_glass, glass_from_table
 from optics.lens.perturb import EVERYTHING, change_temperature, decentre, despace, tilt
 from optics.lens.prescription import lens_from_table
@@ -282,23 +280,3 @@ def test_the_image_plane_is_tilted_from_the_file():
     # the focus lies 1 mm below the middle: rays of slope s cross the tilted plane tan(2 deg) mm beside it
     assert np.abs(out.y[out.ok] + 1.0).max() < 0.02
     assert np.ptp(out.y[out.ok]) > 1e-3
-
-
-@pytest.mark.parametrize(
-    ("surfaces", "message"),
-    [
-        ([{**PLATE, "carry": "bend"}], "carry = 'bend' needs medium = 'mirror'"),
-        ([{"kind": "coordinate_break", "tilt_deg": [90.0, 0.0]}, PLATE], "edge-on to the light"),
-        ([{**CASSEGRAIN["surface"][0], "stop": False}, PLATE], "has the wrong sign"),
-        ([{**BREAK, "medium": "air"}], "medium"),
-    ],
-)
-def test_impossible_frames_get_one_clear_line(surfaces, message):
-    table = {**HEAD, "surface": [STOP, *surfaces, {**STOP, "stop": False}]}
-    assert "\n" not in refuses(ConfigError, f"^my.toml.*{message}", lens_from_table, table, where="my.toml")
-
-
-def test_a_mirror_keeps_its_medium():
-    lens = lens_from_table(CASSEGRAIN, where="test")
-    with pytest.raises(ConfigError, match="the medium behind a mirror must be the one in front of it"):
-        replace(lens, surfaces=(replace(lens.surfaces[0], index_offset=0.1), lens.surfaces[1]))

@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-from refusals import refuses
 
-from optics.errors import DomainError
 from optics.lens.movement import moved_element, refined_movement, smallest_movement
 from optics.lens_file import load_lens
 
@@ -49,4 +47,3 @@ def test_kinds_of_movement():
     turned = moved_element(lens, "L2", "tilt", 0, 0.5).surfaces[lens.indices_of("L2")[0]]
     assert np.degrees(np.arccos(turned.rotation[2, 2])) == pytest.approx(0.5)
     assert abs(turned.rotation[0, 2]) > 100.0 * abs(turned.rotation[1, 2])
-    refuses(DomainError, "'decentre' or 'tilt'", moved_element, lens, "L2", "roll", 0, 1.0)

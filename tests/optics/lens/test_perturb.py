@@ -6,11 +6,9 @@ from functools import cache
 import numpy as np
 import pytest
 from made_lens import made_glass, made_lens
-from refusals import refuses
 from scipy.spatial.transform import Rotation
 
 from optics import Plane, Rays, Sphere, field_direction, load_lens, paraxial, trace
-from optics.errors import ConfigError, DomainError
 from optics.glass.thermal_index import ThermalDispersion
 from optics.lens.perturb import (
     ALL_SURFACES,
@@ -152,16 +150,3 @@ def test_thermal_focus_of_a_thin_lens_in_vacuum():
     slope = float(bk7.absolute_index(600.0, temperature_c=20.0 + step) - bk7.absolute_index(600.0)) / step
     expected = (bk7.cte_per_k - slope / (n - 1.0)) * step
     assert paraxial(warm).efl_mm / paraxial(thin).efl_mm - 1.0 == pytest.approx(expected, rel=1e-4)
-
-
-def test_perturbations_that_cannot_be():
-    refuses(ConfigError, "did you mean L", decentre, LENS, "L4", 0.1)
-    refuses(ConfigError, "surfaces 0", tilt, LENS, 99, 0.1)
-    refuses(DomainError, "plane", change_shape, LENS, LENS.stop_index, "radius_mm", 1.0)
-    refuses(DomainError, "changes sign", change_shape, LENS, 0, "radius_mm", -30.0)
-    refuses(DomainError, "no glass follows", change_index, LENS, 1, 1e-4)
-    refuses(DomainError, "finite", decentre, LENS, "L1", np.nan)
-    bare = replace(LENS, glasses={k: replace(g, cte_per_k=None) for k, g in LENS.glasses.items()})
-    refuses(DomainError, "no expansion coefficient", change_temperature, bare, 40.0, housing_cte_per_k=1e-5)
-    cold = replace(LENS, glasses={k: replace(g, dndt=None) for k, g in LENS.glasses.items()})
-    refuses(DomainError, "no dn/dT data", change_temperature, cold, 40.0, housing_cte_per_k=1e-5)

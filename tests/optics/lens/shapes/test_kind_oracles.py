@@ -5,11 +5,9 @@ import math
 import numpy as np
 import pytest
 from numpy.polynomial.polynomial import polyval2d
-from refusals import refuses
 
 from optics import CATALOGUE_AIR, VACUUM, Conic, EvenAsphere, Rays, trace, zernikes
 from optics.arrays import NUMPY
-from optics.errors import DomainError
 from optics.lens.geometry import axial_ray
 from optics.lens.prescription import lens_from_table
 from optics.lens.shapes.biconic import Biconic
@@ -186,18 +184,3 @@ def test_the_focal_length_of_an_ideal_lens_is_that_in_its_surroundings(environme
     assert axial_ray(lens)[1] == pytest.approx(100.0, abs=1e-12)
     out = trace(lens, Rays.create(x_mm=1e-4, y_mm=0.0, z_mm=0.0, direction=[0, 0, 1.0], wavelength_nm=600.0))
     assert float(-out.x / out.dx * out.dz) + 60.0 == pytest.approx(100.0 - 7.0 / ratio, abs=1e-8)
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: OddAsphere(terms=(1e-3,)), "a cone"),
-        (lambda: Qcon(norm_radius_mm=0.0), "Qcon.norm_radius_mm = 0.0; a positive"),
-        (lambda: Zernike(norm_radius_mm=1.0, ordering="ansi"), "'noll' or 'fringe'"),
-        (lambda: Zernike(norm_radius_mm=1.0, ordering="fringe", coefficients_mm=(0.0,) * 38), "at most 37"),
-        (lambda: Toroid(rotation_radius_mm=0.0), "inf for a cylinder"),
-        (lambda: Biconic(radius_x_mm=math.nan), "Biconic.radius_x_mm = nan"),
-    ],
-)
-def test_impossible_kinds_are_refused(make, message):
-    refuses(DomainError, message, make)

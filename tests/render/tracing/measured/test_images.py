@@ -113,7 +113,7 @@ def test_places_are_those_of_the_camera_model():
     camera = camera_of(mixture([(1.0, 0.8, 0.8, 0.0, 0.0)]), size=256)
     stars = stars_at(camera, [20.0, 130.0, 240.0], [30.0, 120.0, 250.0])
     image = StarRenderer(camera).render(stars)
-    place = camera.lens.measured.place_mm(stars.direction) / PITCH_MM + camera.centre_px
+    place = camera.lens.measured.position_mm(stars.direction) / PITCH_MM + camera.centre_px
     for which in ("chief", "bundle", "photon"):
         found = np.stack([getattr(image.truth, f"{which}_{axis}_px")[:, 0] for axis in "xy"], axis=-1)
         np.testing.assert_allclose(found, place, atol=1e-9)
