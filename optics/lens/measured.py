@@ -41,7 +41,7 @@ needed):
     wavelength_nm = [400.0, 600.0, 1000.0]
     transmission = [0.8, 0.93, 0.9]           # on the axis; 0 ... 1, linear in between
 
-Between nodes fractions, offsets and covariances are linear; beyond the first and last node they are constant. A class of
+Between nodes fractions, offsets and covariances are linear; beyond the outer nodes they are constant. A class of
 stars (5040 K / T) enters by its effective wavelength: positions and variances are linear in the light, so that a table
 that is linear in wavelength gives the class its mean. A sampled PSF is a mixture too: one narrow Gaussian per sample,
 with its offset.
