@@ -129,23 +129,10 @@ class FieldResponse:
 def field_response(
     sensor: StarSensor, band: Band | None = None, *, magnitude_system: str = "V", temperature_k: float = 5800.0
 ) -> FieldResponse:
-    """Trace a sensor over its field.
+    """Trace a sensor over its field, for magnitudes V or G and a reference star of a black body's colour.
 
-    Parameters
-    ----------
-    sensor : StarSensor
-        Camera and detector.
-    band : Band, optional
-        Light that reaches the lens; the sensor's if left out, or all that lens and detector are known for.
-    magnitude_system : {"V", "G"}
-        Of the magnitudes.
-    temperature_k : float
-        Colour of the reference star, as a black body.
-
-    Raises
-    ------
-    DomainError
-        A detector that covers more than the field of the lens.
+    ``band`` is the light that reaches the lens; the sensor's if left out, or all that lens and detector are known for.
+    `DomainError` where the detector covers more than the field of the lens.
     """
     sensor.check_field()
     band = band or sensor.band or sensor.passband()

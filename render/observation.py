@@ -39,49 +39,22 @@ class BodyDisk:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SkyLight:
-    """What falls on the detector in one exposure, in one pass band; made by `SkySimulator.expected`.
+    """What falls on the detector in one exposure, in one pass band; made by `SkySimulator.expected`."""
 
-    Attributes
-    ----------
-    electrons : (h, w) float32
-        Expected photo-electrons: the sum of the layers.
-    layers : dict of str to (h, w) float32
-        By source, as far as the simulator has it: ``stars`` (with planets smaller than a pixel), ``scatter`` (their
-        halos), ``ghosts``, ``sky`` (zodiacal and other diffuse light), ``stray`` (Sun, Moon, Earth outside the field),
-        ``bodies`` (larger than a pixel).
-    sources : StarField
-        The n points of light, along icrs or in the world of the caller's stars: stars, then planets.
-    truth : Truth
-        True positions and light balance (n, 1) of the sources.
-    field : SkyField or None
-        Catalogue rows and apparent directions of the first ``len(field)`` sources; None for stars of the caller.
-    planets : SolarSystem or None
-        The sources behind the stars; None without any.
-    disks : tuple of BodyDisk
-        Bodies larger than a pixel, the nearest first.
-    ghosts : GhostTruth or None
-        Ghosts in the frame, where the simulator renders them: rows from ``len(field)`` on count in ``sources_outside``.
-    sources_outside : tuple of str
-        Sources of ghosts outside the field: ids of bright stars anywhere in front of the lens, bodies.
-    attitude : Rotation
-        cam from icrs in the middle of the exposure.
-    band : str
-        Name of the pass band.
-    exposure_s : float
-        Exposure time.
-    """
-
-    electrons: NDArray[np.float32]
+    electrons: NDArray[np.float32]  # (h, w) Expected photo-electrons: the sum of the layers
+    # (h, w) By source, as far as the simulator has it: ``stars`` (with planets smaller than a pixel), ``scatter``
+    # (their halos), ``ghosts``, ``sky`` (zodiacal and other diffuse light), ``stray`` (Sun, Moon, Earth outside the
+    # field), ``bodies`` (larger than a pixel)
     layers: dict[str, NDArray[np.float32]]
-    sources: StarField
-    truth: Truth
-    field: SkyField | None
-    planets: SolarSystem | None
-    disks: tuple[BodyDisk, ...]
-    ghosts: GhostTruth | None
-    sources_outside: tuple[str, ...]
-    attitude: Rotation
-    band: str
+    sources: StarField  # n points of light, along icrs or in the world of the caller's stars: stars, then planets
+    truth: Truth  # True positions and light balance (n, 1) of the sources
+    field: SkyField | None  # Catalogue rows, apparent directions of the stars; None for stars of the caller
+    planets: SolarSystem | None  # The sources behind the stars; None without any
+    disks: tuple[BodyDisk, ...]  # Bodies larger than a pixel, the nearest first
+    ghosts: GhostTruth | None  # Rows from ``len(field)`` on count in ``sources_outside``
+    sources_outside: tuple[str, ...]  # Sources of ghosts outside the field: ids of stars in front of the lens, bodies
+    attitude: Rotation  # cam from icrs in the middle of the exposure
+    band: str  # Name of the pass band
     exposure_s: float
 
     @property

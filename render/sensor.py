@@ -349,40 +349,20 @@ def build_star_sensor(
     absorption: bool = True,
     diffraction: Diffraction = "waves",
 ) -> StarSensor:
-    """Star sensor of a lens and a detector.
+    """Star sensor of a lens and a detector, by name, file or record; see `render.load_star_sensor`.
 
     Parameters
     ----------
-    lens : str, path or LensSystem
-        Built-in lens (`optics.list_lenses`), TOML file, or a lens, e.g. one with a decentred element.
-    detector : str, path or Detector
-        Built-in detector, TOML file, or a detector.
+    lens, detector
+        The parts.
     window_px : int or (int, int), optional
         Width and height that are read out in the middle of the detector; all of it if left out.
     defocus_mm : float
         Detector shift away from the lens.
     coating_nm : float
         Design wavelength of the MgF2 quarter-wave coatings on all surfaces; 0: bare glass.
-    absorption : bool
-        Whether to count absorption in the glass; needs the internal transmittance of every glass.
-    diffraction : {"rays", "waves", "exact_waves"}
-        How stars are rendered: as the rays land, or as diffraction images.
-
-    Returns
-    -------
-    StarSensor
-        Camera, detector and focal length.
-
-    Raises
-    ------
-    ConfigError, DomainError
-        Unknown lens or detector, a glass without transmittance, a window larger than the detector.
-
-    Examples
-    --------
-    >>> sensor = build_star_sensor("star_tracker_26mm", "cmv4000", window_px=1024)
-    >>> print(f"{sensor.pixel_arcsec:.1f} arcsec per pixel, {sensor.field_deg[0]:.1f} deg")
-    44.3 arcsec per pixel, 12.5 deg
+    absorption, diffraction
+        As in `render.build_camera`.
     """
     chosen = lens if isinstance(lens, LensSystem) else load_lens(lens)
     chip = detector if isinstance(detector, Detector) else load_detector(detector)

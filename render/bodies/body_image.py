@@ -173,15 +173,7 @@ class BodyRenderer:
 def render_body(
     camera: Camera, body: SunlitBody, bands: Sequence[Band], *, nodes: int = 3, **settings: Any
 ) -> BodyImage:
-    """One body through one camera; `BodyRenderer` makes many images.
-
-    Parameters
-    ----------
-    camera, body, bands, nodes
-        As there.
-    **settings
-        Of `BodyRenderer.render`.
-    """
+    """One body through one camera; settings as of `BodyRenderer.render`. `BodyRenderer` makes many images."""
     return BodyRenderer(camera, bands, nodes=nodes).render(body, **settings)
 
 

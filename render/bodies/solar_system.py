@@ -116,14 +116,9 @@ class SolarSystem:
 
 
 def solar_system(epoch_year: float, *, observer: Observer | None = None, bodies: Sequence[str] = BODIES) -> SolarSystem:
-    """Look up the Moon and the planets at a Julian year (TDB), from the Earth's centre or an observer's place.
+    """Look up the Moon and the planets at a Julian year (TDB), from the Earth's centre or an observer's position.
 
-    Raises
-    ------
-    ConfigError
-        Unknown body.
-    DomainError
-        Epoch before 1900 or after 2100; an observer inside a body.
+    Raises `ConfigError` on an unknown body, `DomainError` before 1900, after 2100 or for an observer inside a body.
     """
     for name in bodies:
         if name not in RADIUS_KM:

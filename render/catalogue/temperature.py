@@ -114,22 +114,10 @@ def star_temperature(
     *,
     typical_k: float = TYPICAL_TEMPERATURE_K,
 ) -> FloatArray:
-    """Temperature [K] of the black body that stands for each star of a catalogue when it is rendered.
+    """Temperature (n,) [K] of the black body that stands for each star of a catalogue when it is rendered.
 
-    Parameters
-    ----------
-    stars : StarCatalog
-        n stars.
-    kind : {"colour", "effective"}
-        The black body that has the star's colour, or the star's effective temperature. A star without the one gets the
-        other.
-    typical_k : float
-        For stars that have neither; NaN leaves them without.
-
-    Raises
-    ------
-    ConfigError
-        Unknown kind.
+    ``kind``: the black body of the star's colour, or of its effective temperature; a star without the one gets the
+    other. Stars that have neither get ``typical_k``.
     """
     if kind not in ("colour", "effective"):
         raise ConfigError(f"temperature = {kind!r}; 'colour' or 'effective' is needed")

@@ -139,35 +139,11 @@ def cosmic_ray_hits(
     exposure_s: float,
     depth_um: float = 10.0,
 ) -> CosmicRayHits:
-    """Hits of one frame.
+    """Hits of one frame, for ``expose(..., hits=...)``.
 
-    Parameters
-    ----------
-    detector : Detector
-        Size, pitch, gaps and charge diffusion.
-    environment : CosmicRayEnvironment or str
-        Particles; a name of `list_environments`.
-    streams : Streams
-        Root of the randomness.
-    frame : int
-        Frame number.
-    exposure_s : float
-        Time in which charge is collected: exposure, and storage until it is read [s].
-    depth_um : float
-        Thickness of the sensitive silicon [um], 1 to 500. The default is that of the epitaxial layer of WFPC2's CCDs
-        (WFPC2 Instrument Handbook, sec. 4.9); CMOS sensors have 2 to 20.
-
-    Returns
-    -------
-    CosmicRayHits
-        For ``expose(..., hits=...)``.
-
-    Raises
-    ------
-    ConfigError
-        Unknown environment.
-    DomainError
-        Exposure or depth out of range; more than 1e6 hits.
+    ``exposure_s`` is the time in which charge is collected: exposure, and storage until it is read. The default
+    thickness of the sensitive silicon (1 to 500 um) is that of the epitaxial layer of WFPC2's CCDs (WFPC2 Instrument
+    Handbook, sec. 4.9); CMOS sensors have 2 to 20 um.
     """
     kind = cosmic_ray_environment(environment) if isinstance(environment, str) else environment
     if not 0.0 < exposure_s < math.inf:

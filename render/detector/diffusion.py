@@ -28,21 +28,10 @@ def diffusion_kernel(sigma_px: float) -> NDArray[np.float64]:
 
 
 def diffuse(electrons: NDArray[Any], sigma_px: float) -> NDArray[np.float32]:
-    """Convolve an image with the diffusion kernel; charge reflected at the border, so that none is lost.
+    """Convolve an image (h, w) with the diffusion kernel; charge reflected at the border, so that none is lost.
 
     The star renderer integrates the true kernel over the pixels and is exact; an image that is already made of pixels
     only allows this, exact in flux, centroid and second moments.
-
-    Parameters
-    ----------
-    electrons : (h, w)
-        Expected electrons.
-    sigma_px : float
-        Standard deviation [px].
-
-    Returns
-    -------
-    (h, w) float32
     """
     kernel = diffusion_kernel(sigma_px)
     rows = correlate1d(np.asarray(electrons, np.float64), kernel, axis=0, mode="reflect")

@@ -58,35 +58,13 @@ def aged(
     annealed_s: float = _WEEK_S,
     known_above_e_per_s: float | None = None,
 ) -> Detector:
-    """The same detector after a displacement damage dose.
+    """The new detector after a displacement damage dose D in a depleted volume V per pixel.
 
-    Which pixels are hit follows from its ``sensor_seed``; with more dose they stay hit, and others join them.
-
-    Parameters
-    ----------
-    detector : Detector
-        New.
-    displacement_dose_tev_per_g : float
-        Dose D [TeV/g].
-    depleted_volume_um3 : float
-        Depleted volume V of a pixel [um^3].
-    temperature_c : float, optional
-        Temperature at which the dark current is right; the detector's reference by default. At others it follows the
-        detector's doubling, which is not that of these centres (0.63 eV: 8.5 K at 300 K).
-    annealed_s : float
-        As in `damage_factor`.
-    known_above_e_per_s : float, optional
-        Pixels whose centres give more than this at the reference [e-/s] are in the map of defects. By default none is:
-        the map was made on the ground.
-
-    Returns
-    -------
-    Detector
-
-    Raises
-    ------
-    DomainError
-        Out of range, more than 1000 centres per pixel, or a detector that is aged already.
+    Which pixels are hit follows from its ``sensor_seed``; with more dose they stay hit, and others join them. The dark
+    current is right at ``temperature_c`` (the detector's reference by default); at others it follows the detector's
+    doubling, which is not that of these centres (0.63 eV: 8.5 K at 300 K). Pixels whose centres give more than
+    ``known_above_e_per_s`` at the reference are in the map of defects: by default none, as the map was made on the
+    ground.
     """
     for name, value, unit in (
         ("displacement_dose_tev_per_g", displacement_dose_tev_per_g, "TeV/g"),

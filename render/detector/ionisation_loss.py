@@ -61,25 +61,9 @@ def restricted_loss_ev_per_um(
 def draw_collisions(
     path_um: FloatArray, energy_mev: FloatArray, charge: ArrayLike, *, limit_ev: float, generator: np.random.Generator
 ) -> Collisions:
-    """Random collisions of tracks.
+    """Random collisions of tracks (n,): length in silicon, kinetic energy per nucleon, charge number of the nucleus.
 
-    Parameters
-    ----------
-    path_um : (n,)
-        Length of each track in silicon [um].
-    energy_mev : (n,)
-        Kinetic energy per nucleon [MeV].
-    charge : (n,)
-        Charge number of the nucleus.
-    limit_ev : float
-        Largest energy of an included knock-on electron [eV].
-    generator : numpy.random.Generator
-        Randomness.
-
-    Returns
-    -------
-    Collisions
-        Their mean energy is ``path_um`` x `restricted_loss_ev_per_um`.
+    Knock-on electrons count up to ``limit_ev``. Their mean energy is ``path_um`` x `restricted_loss_ev_per_um`.
     """
     beta2, momentum2, largest = _kinematics(energy_mev)
     mean = path_um * restricted_loss_ev_per_um(energy_mev, charge, limit_ev=limit_ev)

@@ -27,41 +27,21 @@ from render.detector.spec import Detector
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PixelNoise:
-    """Noise and patterns of a pixel in one exposure [e-].
+    """Noise and patterns of a pixel in one exposure [e-]."""
 
-    Attributes
-    ----------
-    read_e2 : float
-        Mean variance of the read noise over the pixels.
-    read_e4 : float
-        Variance over the pixels of that variance.
-    dark_e : float
-        Mean dark charge, displacement damage included; also its temporal variance [e-^2].
-    dark_pattern_e : float
-        Standard deviation of the dark charge over the pixels.
-    rounding_e2 : float
-        Variance of rounding to whole DN.
-    prnu : float
-        Standard deviation of the response over the pixels, relative.
-    dsnu_e, column_e : float
-        Standard deviation of the offset over the pixels and over the columns.
-    """
-
-    read_e2: float
-    read_e4: float
-    dark_e: float
-    dark_pattern_e: float
-    rounding_e2: float
-    prnu: float
-    dsnu_e: float
-    column_e: float
+    read_e2: float  # Mean variance of the read noise over the pixels
+    read_e4: float  # Variance over the pixels of that variance
+    dark_e: float  # Mean dark charge, displacement damage included; also its temporal variance [e-^2]
+    dark_pattern_e: float  # Standard deviation of the dark charge over the pixels
+    rounding_e2: float  # Variance of rounding to whole DN
+    prnu: float  # Standard deviation of the response over the pixels, relative
+    dsnu_e: float  # Standard deviation of the offset over the pixels
+    column_e: float  # and over the columns
 
     @classmethod
     def of(cls, detector: Detector, *, temperature_c: float, exposure_s: float) -> Self:
         """Noise of a detector under its conditions.
 
-        Notes
-        -----
         Read noise is log-normal over the pixels with the median ``read_noise_e`` and the standard deviation s of its
         logarithm: its square has the mean read_noise_e^2 exp(2 s^2) and the variance mean^2 (exp(4 s^2) - 1).
         """
@@ -99,16 +79,9 @@ class PixelNoise:
     def temporal_e2(
         self, light_e: FloatArray | float, *, frames: int = 1, dark_frames: int | None = None
     ) -> FloatArray:
-        """Temporal variance of pixels that expect ``light_e``, any shape.
+        """Temporal variance, in the mean of ``frames``, of pixels that expect ``light_e``, any shape.
 
-        Parameters
-        ----------
-        light_e : array or float
-            Expected photo-electrons in one frame.
-        frames : int
-            Frames that are averaged.
-        dark_frames : int, optional
-            Frames without light whose mean is subtracted; none without it.
+        ``dark_frames``: frames without light whose mean is subtracted.
         """
         variance = (np.asarray(light_e, np.float64) + self.floor_e2) / frames
         return variance if dark_frames is None else variance + self.floor_e2 / dark_frames

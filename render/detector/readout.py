@@ -170,7 +170,7 @@ def expose_windows(
     margin_px: int = 0,
     hits: Sequence[CosmicRayHits] | None = None,
 ) -> WindowStack:
-    """Read windows of many frames out, all at once.
+    """Read windows of many frames out, all at once; other parameters and errors as of `expose`.
 
     Parameters
     ----------
@@ -178,21 +178,12 @@ def expose_windows(
         Expected photo-electrons of each window, diffused, the same in every frame.
     corner_px : (n, 2)
         (column, row) on the detector of each stamp's first pixel.
-    detector, streams, temperature_c, background_e_per_s
-        As in `expose`.
-    frames : int
-        How many frames, at least 1.
-    exposure_s : float
-        Exposure time [s].
-    first_frame : int
-        Number of the first frame.
-    band : str
-        Label of the frames; part of the key of the streams, as in `expose`.
+    frames, first_frame : int
+        Number of frames, at least 1; number of the first.
     margin_px : int
-        Pixels on each side of the stamps that are only there for crosstalk; they are cut off from the result, whose
-        corners move inwards accordingly. With crosstalk, a margin of one pixel makes the windows equal to the crop of
-        the full frame up to their borders; without it their border pixels have no neighbours outside. Without
-        crosstalk it changes nothing. The margin may lie outside the detector.
+        Pixels on each side of the stamps that are only there for crosstalk and are cut off from the result. One pixel
+        makes the windows equal to the crop of the full frame up to their borders. The margin may lie outside the
+        detector.
     hits : sequence of CosmicRayHits, optional
         Cosmic rays of the whole detector, one set for each frame.
 
@@ -200,13 +191,6 @@ def expose_windows(
     -------
     WindowStack
         Windows (h - 2 margin, w - 2 margin).
-
-    Raises
-    ------
-    ConfigError
-        A detector with smear or blooming, which no window can know.
-    DomainError, BackendError
-        As in `expose`; also windows not inside the detector, zero frames, or sets of hits that are not as many.
     """
     if detector.has_column_effects:
         raise ConfigError(

@@ -37,24 +37,9 @@ def image_motion(
 ) -> ImageMotion:
     """Displacements by an angular velocity across and about the boresight, and by jitter.
 
-    Parameters
-    ----------
-    across_rad_per_s, about_rad_per_s : float
-        Angular velocity.
-    jitter_rad : (3,)
-        Amplitude of random motion about x, y and the boresight.
-    exposure_s, duration_s : float
-        Exposure of a row; from the start of the first row's to the end of the last one's.
-    pixel_rad : float
-        Angle of a pixel on the axis.
-    size_px : (int, int)
-        Columns and rows.
-
-    Returns
-    -------
-    ImageMotion
-        A turn by an angle a moves a corner by ``a`` times its distance r from the axis, and brings in no star from
-        farther than the corners: at most r minus half of the shorter side.
+    ``jitter_rad`` (3,): amplitude about x, y and the boresight. ``duration_s`` runs from the start of the first row's
+    exposure to the end of the last one's. A turn by an angle a moves a corner by ``a`` times its distance r from the
+    axis, and brings in no star from farther than the corners: at most r minus half of the shorter side.
     """
     corner_px = 0.5 * float(math.hypot(*size_px))
     drift_px = 0.5 * duration_s * across_rad_per_s / pixel_rad

@@ -151,23 +151,9 @@ class Jittered:
 
 
 def jittered(trajectory: Trajectory, spectrum: JitterSpectrum, *, streams: Streams, frame: int = 0) -> Jittered:
-    """Add jitter to a trajectory.
+    """Add jitter to a trajectory; its variance over time is that of the spectrum about the body's axes.
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-        What is jittered.
-    spectrum : JitterSpectrum
-        Power spectral densities of the rotations about its body's axes.
-    streams : Streams
-        Where frequencies and phases come from: the streams ``jitter x``, ``jitter y`` and ``jitter z``.
-    frame : int
-        Key of the realization: frames of one continuous motion share a number, independent ones have one each.
-
-    Returns
-    -------
-    Jittered
-        Its variance over time is that of the spectrum.
+    ``frame`` is the key of the realization: frames of one continuous motion share a number.
     """
     low, high = spectrum.frequency_hz[[0, -1]]
     edges = np.geomspace(low, high, CELLS + 1)

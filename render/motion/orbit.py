@@ -58,23 +58,8 @@ def kepler_orbit(
 ) -> Orbit:
     """Ellipse of the two-body problem, in axes of the equator of J2000 (icrs to 0.02 arcsec).
 
-    Parameters
-    ----------
-    perigee_km : float
-        Height of the perigee above `EARTH_RADIUS_KM`.
-    eccentricity : float
-        Below 1.
-    inclination_deg, node_deg, perigee_deg : float
-        Inclination to the equator, right ascension of the ascending node, argument of the perigee.
-    anomaly_deg : float
-        Mean anomaly at the epoch.
-    epoch_year : float
-        Julian year of time 0.
-
-    Raises
-    ------
-    DomainError
-        An eccentricity outside 0 ... 1.
+    Height of the perigee above `EARTH_RADIUS_KM`; inclination to the equator, right ascension of the ascending node,
+    argument of the perigee; mean anomaly at the epoch, the Julian year of time 0.
     """
     e = eccentricity
     if not 0.0 <= e < 1.0:
@@ -100,14 +85,9 @@ def kepler_orbit(
 
 
 def sgp4_orbit(first: str, second: str) -> Orbit:
-    """Two-line elements by SGP4, from their epoch on.
+    """Two-line elements by SGP4, from their epoch on (package sgp4: `ConfigError`).
 
-    Raises
-    ------
-    ConfigError
-        The package sgp4 is not installed.
-    DomainError
-        Damaged elements; an orbit that leads into the ground, when its state is asked for.
+    `DomainError` on damaged elements, and from the state of an orbit that leads into the ground.
     """
     import erfa
 

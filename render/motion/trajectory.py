@@ -294,24 +294,10 @@ def precession(
     steps: int,
     knot_every: int = 1,
 ) -> SampledAttitude:
-    """A turn at constant speed about an axis that itself turns about the body's z axis.
+    """A turn at constant speed about an axis that itself turns about the body's z axis, from time 0 to ``end_s``.
 
-    Parameters
-    ----------
-    initial : Rotation
-        Body from reference at the start.
-    rate_rad_per_s : float
-        Angular speed; its sign that of a turn of what the body sees.
-    tilt_rad : float
-        Angle of the axis from z.
-    turn_rad : float
-        How far the axis turns about z until the end.
-    end_s : float
-        End of the motion, which begins at 0.
-    steps : int
-        Steps of the integration.
-    knot_every : int
-        Steps from knot to knot of the spline that is returned.
+    The sign of the rate is that of a turn of what the body sees; the axis, at an angle ``tilt_rad`` from z, turns by
+    ``turn_rad`` about z. ``knot_every``: integration steps from knot to knot of the spline that is returned.
     """
     part = (np.arange(steps) + 0.5) / steps
     sine = np.sin(tilt_rad)

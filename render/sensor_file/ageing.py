@@ -15,13 +15,7 @@ def aged_transmission(life: LifeConfig, fraction: float) -> float:
 
 
 def aged_detector(detector: Detector, life: LifeConfig, fraction: float, *, temperature_c: float) -> Detector:
-    """The detector at a fraction of the life, with its displacement damage as read out at a temperature.
-
-    Raises
-    ------
-    DomainError
-        As `render.detector.displacement_damage.aged`.
-    """
+    """The detector at a fraction of the life, with its displacement damage as read out at a temperature."""
     dark_e_per_s = detector.dark_current_e_per_s + fraction * life.ionising_dark_e_per_s
     detector = replace(detector, dark_current_e_per_s=dark_e_per_s)
     dose = fraction * life.displacement_dose_tev_per_g

@@ -134,19 +134,9 @@ def in_best_focus(instrument: InstrumentConfig, passband: PassbandConfig) -> Ins
 
 
 def read_sensor(file: str | Path, model: type[SensorFile] = SensorFile) -> dict[str, Any]:
-    """Validated contents of a sensor file, without missing keys. Paths are taken from its folder.
+    """Validated contents of a sensor file, without missing keys; relative paths are taken from its folder.
 
-    Parameters
-    ----------
-    file : path
-        TOML file.
-    model : type of SensorFile
-        Model that checks it.
-
-    Raises
-    ------
-    ConfigError
-        Naming the key, its value and the allowed range.
+    `ConfigError` names the key, its value and the allowed range, or a lens file given in its place.
     """
     from optics.files.read import FOREIGN
 

@@ -112,15 +112,7 @@ class BackgroundMap:
 
 
 def background_map(camera: Camera, bands: Sequence[Band], *, nodes: int = 5) -> BackgroundMap:
-    """Trace the etendue of every pixel for a diffuse sky; once per camera (whose attitude plays no part) and bands.
-
-    Raises
-    ------
-    ConfigError, DomainError
-        As `optics.light.band.band_nodes`; a band outside of what lens and response are known for.
-    ConvergenceError
-        The corner of the detector lies outside what the lens can image.
-    """
+    """Trace the etendue of every pixel for a diffuse sky; once per camera (whose attitude plays no part) and bands."""
     rule = band_nodes(bands, nodes)
     wavelength = rule.wavelength_nm
     camera.lens.check_wavelength(wavelength)
@@ -161,15 +153,8 @@ def sky_background(
 ) -> NDArray[np.float32]:
     """Electrons per second of the diffuse sky in every pixel, (h, w, b) float32; the attitude is cam from icrs.
 
-    Zodiacal light needs an epoch (Julian year, for an observer at the Earth) or an observer, as seen from the Sun;
-    ``uniform`` comes on top of it.
-
-    Raises
-    ------
-    ConfigError
-        Not a single rotation, zodiacal light without epoch and observer.
-    DomainError
-        The Sun within 15 deg of a pixel, an observer too near or far from the Sun.
+    Zodiacal light needs an epoch (Julian year, for an observer at the Earth) or an observer, as seen from the Sun, and
+    ends 15 deg from the Sun (`DomainError`); ``uniform`` comes on top of it.
     """
     if not isinstance(attitude, Rotation) or not attitude.single:
         raise ConfigError("attitude must be one scipy Rotation, cam from icrs")

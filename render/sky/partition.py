@@ -29,12 +29,7 @@ PartOf = Callable[[FloatArray], str]
 def parts_by_caps(fraction: Mapping[str, float], pole: FloatArray, gap_rad: float) -> PartOf:
     """All of the sky: a cap about a pole for the test, the opposite one for validation, the rest for training.
 
-    The caps are as large as makes the fractions right among the frames that are in no gap.
-
-    Raises
-    ------
-    DomainError
-        A gap of 90 deg or more.
+    The caps are as large as makes the fractions right among the frames that are in no gap, of less than 90 deg.
     """
     if gap_rad >= WIDEST_GAP_RAD:
         raise DomainError(f"gap_deg = {gap_rad * RAD_DEG:g} deg; less than 90 deg is needed")
@@ -78,12 +73,7 @@ def parts_by_latitude(
 
     The sides are defined by the latitude above a great circle through the middle, across which the boresights spread
     farthest; two boresights are at least as far apart as their latitudes. ``symmetry_breaking`` (3,): standard normal
-    numbers that choose the circle for a cone.
-
-    Raises
-    ------
-    DomainError
-        Gaps that leave less than half of the boresights.
+    numbers that choose the circle for a cone. `DomainError` where gaps leave less than half of the boresights.
     """
     middle = boresights.mean(0) / max(float(np.linalg.norm(boresights.mean(0))), 1e-9)
     aside = boresights - np.outer(boresights @ middle, middle) + 1e-3 * symmetry_breaking
@@ -117,12 +107,7 @@ def parts_by_arcs(fraction: Mapping[str, float], pole: FloatArray, start: FloatA
     """Arcs of the circle of a boresight that begins at ``start`` and turns about ``pole``, each followed by a gap.
 
     The sequence repeats as often as leaves half of the circle to frames that count: short scans have all parts; the
-    scan may go round many times.
-
-    Raises
-    ------
-    DomainError
-        A circle without room for the gaps.
+    scan may go round many times. `DomainError` on a circle without room for the gaps.
     """
     radius = math.acos(float(np.clip(pole @ start, -1.0, 1.0)))
     chord = math.sin(0.5 * gap_rad) / math.sin(radius) if math.sin(radius) > 1e-9 else math.inf

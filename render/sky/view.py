@@ -45,22 +45,9 @@ def sky_view(
     window_px: int,
     depth_mag: float,
 ) -> SkyView:
-    """Look up the stars of a catalogue in attitudes (f), cam from icrs.
+    """Look up the n stars of a catalogue, with their temperatures (n,), in attitudes (f), cam from icrs.
 
-    Parameters
-    ----------
-    stars : StarCatalog
-        n stars.
-    temperature_k : (n,)
-        Their colours.
-    view : FieldOfView
-        Of the camera.
-    attitudes : Rotation
-        Several.
-    window_px : int
-        Side of the window within which a neighbour disturbs: a circle of its area.
-    depth_mag : float
-        Faintest magnitude of the catalogue, as a note.
+    A neighbour disturbs within a circle of the area of the window. ``depth_mag`` is kept as a note.
     """
     sample = sample_sky(build_index(stars), view, attitudes)
     pixel_rad = 2.0 * float(np.arctan(view.half_width[0])) / view.width_px
