@@ -8,7 +8,7 @@ Data files are TOML, lengths in um; the record is in mm.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
@@ -30,44 +30,6 @@ _DATA = Path(__file__).parents[1] / "data" / "detectors"
 _HIGHEST = 1e7
 LEAST_PEAK = 0.01
 """No detector has less: fractions in a column of percents."""
-_SIDE = 32768
-
-# name in the data file: (lowest, highest, unit)
-RANGES: dict[str, tuple[float, float, str]] = {
-    "chip_width_px": (1, _SIDE, "px"),
-    "chip_height_px": (1, _SIDE, "px"),
-    "chips": (1, 16, ""),
-    "gap_px": (0, 4096, "px"),
-    "pixel_pitch_um": (0.1, 1000, "um"),
-    "diffusion_sigma_um": (0, 100, "um"),
-    "prnu": (0, 0.5, ""),
-    "dark_current_e_per_s": (0, _HIGHEST, "e-/s"),
-    "dark_reference_c": (-200, 150, "C"),
-    "dark_doubling_c": (1, 100, "C"),
-    "dark_spread_e_per_s": (0, _HIGHEST, "e-/s"),
-    "hot_fraction": (0, 1, ""),
-    "hot_dark_e_per_s": (0, _HIGHEST, "e-/s"),
-    "dead_fraction": (0, 1, ""),
-    "full_well_e": (1, _HIGHEST, "e-"),
-    "crosstalk_horizontal": (0, 0.2, ""),
-    "crosstalk_vertical": (0, 0.2, ""),
-    "crosstalk_diagonal": (0, 0.1, ""),
-    "read_noise_e": (0, 1e5, "e-"),
-    "read_noise_spread": (0, 2, ""),
-    "gain_dn_per_e": (1e-6, 1e5, "DN/e-"),
-    "nonlinearity": (-0.5, 0.5, ""),
-    "offset_dn": (0, 65535, "DN"),
-    "dsnu_e": (0, 1e5, "e-"),
-    "column_pattern_e": (0, 1e5, "e-"),
-    "adc_bits": (1, 16, "bit"),
-    "sensor_seed": (0, 2**63, ""),
-    "blooming": (0, 1, ""),
-    "lag": (0, 0.5, ""),
-    "transfer_line_us": (0, 1e5, "us"),
-    "damage_centres_per_px": (0, 1000, ""),
-    "damage_dark_e_per_s": (0, _HIGHEST, "e-/s"),
-    "damage_known_e_per_s": (0, _HIGHEST, "e-/s"),
-}
 OFFSET_SIGMA = 10.0
 """Offset where a file gives none, in the read noise: no pixel is cut off at zero."""
 UNSAID = frozenset({"base", "assumed", "chips", "gap_px", "sensor_seed", "dark_current"})
@@ -311,9 +273,10 @@ class Detector:
         return dark_current_ratio(temperature_c, reference_c=self.dark_reference_c, doubling_c=self.dark_doubling_c)
 
 
-def _in_range(key: str, text: str, **options: Any) -> Any:
-    low, high, unit = RANGES[key]
-    return Field(ge=low, le=high, allow_inf_nan=False, description=f"{text} [{unit}]" if unit else text, **options)
+def _number(low: float, high: float, unit: str, text: str, default: Any = ...) -> Any:
+    """A number of a detector file with its range and unit."""
+    about = f"{text} [{unit}]" if unit else text
+    return Field(default=default, ge=low, le=high, allow_inf_nan=False, description=about)
 
 
 class ResponseTable(BaseModel):
@@ -354,63 +317,49 @@ class DetectorFile(BaseModel):
     assumed: list[str] = Field(default=[], description="keys with assumed values")
     quantum_efficiency: ResponseTable
     dark_current: DarkTable | None = None
-    chip_width_px: int = _in_range("chip_width_px", "columns of a chip")
-    chip_height_px: int = _in_range("chip_height_px", "rows of a chip")
-    chips: int = _in_range("chips", "chips side by side", default=1)
-    gap_px: int = _in_range("gap_px", "dead columns between chips", default=0)
-    pixel_pitch_um: float = _in_range("pixel_pitch_um", "pixel pitch")
-    full_well_e: float = _in_range("full_well_e", "saturation capacity")
-    read_noise_e: float = _in_range("read_noise_e", "median temporal dark noise")
-    read_noise_spread: float = _in_range(
-        "read_noise_spread", "standard deviation over the pixels of the logarithm of the read noise", default=0.0
+    chip_width_px: int = _number(1, 32768, "px", "columns of a chip")
+    chip_height_px: int = _number(1, 32768, "px", "rows of a chip")
+    chips: int = _number(1, 16, "", "chips side by side", 1)
+    gap_px: int = _number(0, 4096, "px", "dead columns between chips", 0)
+    pixel_pitch_um: float = _number(0.1, 1000, "um", "pixel pitch")
+    full_well_e: float = _number(1, _HIGHEST, "e-", "saturation capacity")
+    read_noise_e: float = _number(0, 1e5, "e-", "median temporal dark noise")
+    read_noise_spread: float = _number(
+        0, 2, "", "standard deviation over the pixels of the logarithm of the read noise", 0.0
     )
-    gain_dn_per_e: float = _in_range("gain_dn_per_e", "system gain K")
-    adc_bits: int = _in_range("adc_bits", "resolution of the converter")
-    offset_dn: float | None = _in_range("offset_dn", "mean offset; default: ten times the read noise", default=None)
+    gain_dn_per_e: float = _number(1e-6, 1e5, "DN/e-", "system gain K")
+    adc_bits: int = _number(1, 16, "bit", "resolution of the converter")
+    offset_dn: float | None = _number(0, 65535, "DN", "mean offset; default: ten times the read noise", None)
     nonlinearity: tuple[float, ...] = Field(
         default=(), max_length=8, description="c_i (-0.5 to 0.5) of DN = K x (1 + sum c_i (x / full_well)^i), x in e-"
     )
-    dark_current_e_per_s: float = _in_range("dark_current_e_per_s", "mean dark current at dark_reference_c")
-    dark_reference_c: float = _in_range("dark_reference_c", "reference temperature of the dark current")
-    dark_doubling_c: float = _in_range("dark_doubling_c", "warming that doubles the dark current", default=6.5)
-    dark_spread_e_per_s: float = _in_range(
-        "dark_spread_e_per_s", "standard deviation of the dark current over the pixels", default=0.0
+    dark_current_e_per_s: float = _number(0, _HIGHEST, "e-/s", "mean dark current at dark_reference_c")
+    dark_reference_c: float = _number(-200, 150, "C", "reference temperature of the dark current")
+    dark_doubling_c: float = _number(1, 100, "C", "warming that doubles the dark current", 6.5)
+    dark_spread_e_per_s: float = _number(
+        0, _HIGHEST, "e-/s", "standard deviation of the dark current over the pixels", 0.0
     )
-    hot_fraction: float = _in_range("hot_fraction", "fraction of hot pixels", default=0.0)
-    hot_dark_e_per_s: float = _in_range("hot_dark_e_per_s", "mean extra dark current of hot pixels", default=0.0)
-    dead_fraction: float = _in_range("dead_fraction", "fraction of dead pixels", default=0.0)
-    prnu: float = _in_range("prnu", "relative standard deviation of the response over the pixels", default=0.0)
-    dsnu_e: float = _in_range("dsnu_e", "standard deviation of the offset over the pixels", default=0.0)
-    column_pattern_e: float = _in_range(
-        "column_pattern_e", "standard deviation of the offset over the columns", default=0.0
+    hot_fraction: float = _number(0, 1, "", "fraction of hot pixels", 0.0)
+    hot_dark_e_per_s: float = _number(0, _HIGHEST, "e-/s", "mean extra dark current of hot pixels", 0.0)
+    dead_fraction: float = _number(0, 1, "", "fraction of dead pixels", 0.0)
+    prnu: float = _number(0, 0.5, "", "relative standard deviation of the response over the pixels", 0.0)
+    dsnu_e: float = _number(0, 1e5, "e-", "standard deviation of the offset over the pixels", 0.0)
+    column_pattern_e: float = _number(0, 1e5, "e-", "standard deviation of the offset over the columns", 0.0)
+    diffusion_sigma_um: float = _number(0, 100, "um", "charge diffusion, standard deviation of a Gaussian", 0.0)
+    crosstalk_horizontal: float = _number(0, 0.2, "", "charge share of a left or right neighbour", 0.0)
+    crosstalk_vertical: float = _number(0, 0.2, "", "charge share of an upper or lower neighbour", 0.0)
+    crosstalk_diagonal: float = _number(0, 0.1, "", "charge share of a diagonal neighbour", 0.0)
+    blooming: float = _number(0, 1, "", "share of the charge above the full well that blooms along the column", 0.0)
+    lag: float = _number(0, 0.5, "", "fraction of a frame's charge that is read with the next frame", 0.0)
+    transfer_line_us: float = _number(0, 1e5, "us", "frame transfer under light: time per row", 0.0)
+    damage_centres_per_px: float = _number(
+        0, 1000, "", "radiation damage: mean number of damage centres per pixel", 0.0
     )
-    diffusion_sigma_um: float = _in_range(
-        "diffusion_sigma_um", "charge diffusion, standard deviation of a Gaussian", default=0.0
+    damage_dark_e_per_s: float = _number(0, _HIGHEST, "e-/s", "mean dark current of a damage centre", 0.0)
+    damage_known_e_per_s: float = _number(
+        0, _HIGHEST, "e-/s", "dark current by damage centres above which a pixel is a listed defect", _HIGHEST
     )
-    crosstalk_horizontal: float = _in_range(
-        "crosstalk_horizontal", "charge share of a left or right neighbour", default=0.0
-    )
-    crosstalk_vertical: float = _in_range(
-        "crosstalk_vertical", "charge share of an upper or lower neighbour", default=0.0
-    )
-    crosstalk_diagonal: float = _in_range("crosstalk_diagonal", "charge share of a diagonal neighbour", default=0.0)
-    blooming: float = _in_range(
-        "blooming", "share of the charge above the full well that blooms along the column", default=0.0
-    )
-    lag: float = _in_range("lag", "fraction of a frame's charge that is read with the next frame", default=0.0)
-    transfer_line_us: float = _in_range("transfer_line_us", "frame transfer under light: time per row", default=0.0)
-    damage_centres_per_px: float = _in_range(
-        "damage_centres_per_px", "radiation damage: mean number of damage centres per pixel", default=0.0
-    )
-    damage_dark_e_per_s: float = _in_range("damage_dark_e_per_s", "mean dark current of a damage centre", default=0.0)
-    damage_known_e_per_s: float = _in_range(
-        "damage_known_e_per_s",
-        "dark current by damage centres above which a pixel is a listed defect",
-        default=_HIGHEST,
-    )
-    sensor_seed: int = _in_range(
-        "sensor_seed", "seed of the individual detector's fixed patterns and defects", default=1
-    )
+    sensor_seed: int = _number(0, 2**63, "", "seed of the individual detector's fixed patterns and defects", 1)
 
     @model_validator(mode="after")
     def _assumed(self) -> DetectorFile:
@@ -418,6 +367,17 @@ class DetectorFile(BaseModel):
             if key not in type(self).model_fields:
                 raise ValueError(f"assumed: {unknown_name('key', key, type(self).model_fields)}")
         return self
+
+
+def _ranges() -> Iterator[tuple[str, tuple[float, float, str]]]:
+    for name, field in DetectorFile.model_fields.items():
+        limits = [getattr(mark, end) for end in ("ge", "le") for mark in field.metadata if hasattr(mark, end)]
+        if limits:
+            yield name, (*limits, str(field.description).partition(" [")[2].rstrip("]"))
+
+
+RANGES: dict[str, tuple[float, float, str]] = {**dict(_ranges()), "nonlinearity": (-0.5, 0.5, "")}
+"""Lowest and highest value and unit of the numbers of a data file."""
 
 
 def list_detectors() -> tuple[str, ...]:
