@@ -143,11 +143,7 @@ class StarRenderer:
         """Noiseless image with truth; parameters and errors as `trace`."""
         traced = self.trace(stars, rotation_cam_from_world=rotation_cam_from_world, motion=motion)
         return ExpectedImage(
-            electrons=traced.electrons,
-            band=stars.band,
-            exposure_s=self.exposure_s,
-            diffused=True,
-            truth=traced.truth,
+            electrons=traced.electrons, band=stars.band, exposure_s=self.exposure_s, diffused=True, truth=traced.truth
         )
 
     def trace(

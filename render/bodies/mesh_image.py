@@ -74,11 +74,7 @@ def mesh_image(
 
 
 def _sensor(
-    camera: Camera,
-    body: SunlitBody,
-    exposure_s: float,
-    motion: tuple[FloatArray, float, float] | None,
-    first_row: int,
+    camera: Camera, body: SunlitBody, exposure_s: float, motion: tuple[FloatArray, float, float] | None, first_row: int
 ) -> dict[str, Any]:
     """The camera in a scene whose origin is the body and whose unit is the body's radius."""
     mi = Engine.active().mitsuba
@@ -113,9 +109,7 @@ def _scene(body: SunlitBody) -> dict[str, Any]:
         "filename": str(body.mesh),
         "to_world": mi.ScalarTransform4f(matrix),
     }
-    lights: dict[str, Any] = {
-        "sun": {"type": "directional", "direction": (-body.to_sun).tolist(), "irradiance": 1.0},
-    }
+    lights: dict[str, Any] = {"sun": {"type": "directional", "direction": (-body.to_sun).tolist(), "irradiance": 1.0}}
     if body.second_light is not None:
         towards, irradiance = body.second_light.towards, body.second_light.irradiance
         lights["second"] = {"type": "directional", "direction": (-towards).tolist(), "irradiance": irradiance}

@@ -95,10 +95,7 @@ def with_motions(catalog: StarCatalog, hipparcos: StarCatalog | None = None) -> 
         catalog,
         proper_motion_rad_per_year=motion,
         parallax_rad=parallax,
-        notes=(
-            *catalog.notes,
-            f"{len(row)} proper motions by Hipparcos-2; {lacking} of {len(motion)} stars have none",
-        ),
+        notes=(*catalog.notes, f"{len(row)} proper motions by Hipparcos-2; {lacking} of {len(motion)} stars have none"),
     )
 
 

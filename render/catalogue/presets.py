@@ -33,14 +33,7 @@ MEANINGS: Mapping[str, str] = {
 }
 """Quantities of columns, with the unit that they are converted to; proper motion in ra holds the factor cos dec."""
 
-_USUAL_UNITS = {
-    **MEANINGS,
-    "ra": "deg",
-    "dec": "deg",
-    "pm_ra": "mas / yr",
-    "pm_dec": "mas / yr",
-    "parallax": "mas",
-}
+_USUAL_UNITS = {**MEANINGS, "ra": "deg", "dec": "deg", "pm_ra": "mas / yr", "pm_dec": "mas / yr", "parallax": "mas"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,14 +15,7 @@ from optics.records import freeze
 from optics.units import ARCSEC_RAD, RAD_ARCSEC, RAD_DEG
 
 MAS_RAD = ARCSEC_RAD * 1e-3
-_COLUMNS = (
-    "parallax_rad",
-    "radial_velocity_km_per_s",
-    "magnitude",
-    "bp_rp_mag",
-    "b_v_mag",
-    "effective_temperature_k",
-)
+_COLUMNS = ("parallax_rad", "radial_velocity_km_per_s", "magnitude", "bp_rp_mag", "b_v_mag", "effective_temperature_k")
 # Beyond these no star is known; a value beyond them is in another unit. Barnard's star 10.4"/year, Proxima 0.77".
 _FASTEST_RAD_PER_YEAR = 30.0 * ARCSEC_RAD
 _NEAREST_RAD = 2.0 * ARCSEC_RAD

@@ -109,10 +109,7 @@ def colour_temperature(bp_rp_mag: ArrayLike | None = None, b_v_mag: ArrayLike | 
 
 
 def star_temperature(
-    stars: StarCatalog,
-    kind: Literal["colour", "effective"] = "colour",
-    *,
-    typical_k: float = TYPICAL_TEMPERATURE_K,
+    stars: StarCatalog, kind: Literal["colour", "effective"] = "colour", *, typical_k: float = TYPICAL_TEMPERATURE_K
 ) -> FloatArray:
     """Temperature (n,) [K] of the black body that stands for each star of a catalogue when it is rendered.
 

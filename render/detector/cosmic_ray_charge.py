@@ -23,11 +23,7 @@ def frame_deposit(types: Any, hits: CosmicRayHits, detector: Detector) -> Any:
 
 
 def window_deposit(
-    types: Any,
-    hits: Sequence[CosmicRayHits],
-    detector: Detector,
-    column: NDArray[np.int64],
-    row: NDArray[np.int64],
+    types: Any, hits: Sequence[CosmicRayHits], detector: Detector, column: NDArray[np.int64], row: NDArray[np.int64]
 ) -> Any:
     """Charge in every pixel of windows, frame after frame (m n h w,) [e-], or None without hits."""
     # column, row (n, w) or (n, h)

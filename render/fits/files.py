@@ -346,11 +346,7 @@ def _images(path: Path | str) -> Iterator[tuple[fits.Header, NDArray[Any], fits.
         pictures = [hdu for hdu in content if hdu.is_image and hdu.header.get("NAXIS", 0)]
         masks = {hdu.ver: hdu for hdu in pictures if hdu.name == "MASK"}
         images = [
-            (
-                hdu.header.copy(),
-                np.array(hdu.data),
-                masks.get(hdu.ver if len(masks) > 1 else min(masks, default=1)),
-            )
+            (hdu.header.copy(), np.array(hdu.data), masks.get(hdu.ver if len(masks) > 1 else min(masks, default=1)))
             for hdu in pictures
             if hdu.name not in _BESIDE
         ]

@@ -91,8 +91,7 @@ class InstrumentConfig(StrictModel):
     )
     height_px: int = Field(default=0, ge=0, le=32768, description="rows read out in the middle of the detector; 0: all")
     defocus_mm: Annotated[float, Field(strict=True, ge=-10, le=10)] | Literal["best"] = Field(
-        default=0.010,
-        description="detector shift away from the lens; best: smallest RMS spot over the pass band",
+        default=0.010, description="detector shift away from the lens; best: smallest RMS spot over the pass band"
     )
     f_number: float | None = Field(
         default=None, gt=0, le=1000, description="stop closed to this F-number; left out: the lens's own"

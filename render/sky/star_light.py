@@ -53,10 +53,7 @@ class StarLight:
         """Stars of given magnitudes and temperatures, each (n,) or one for all, seen at directions (n, 3)."""
         m, t = (np.broadcast_to(np.asarray(value, float), len(direction)) for value in (magnitude, temperature_k))
         return StarField(
-            direction=direction,
-            wavelength_nm=self.wavelength_nm,
-            photon_rate=self.photon_rate(m, t),
-            band=self.band,
+            direction=direction, wavelength_nm=self.wavelength_nm, photon_rate=self.photon_rate(m, t), band=self.band
         )
 
 

@@ -54,11 +54,7 @@ def moments(body_image):
 
 
 @pytest.mark.parametrize(
-    ("law", "phase_deg"),
-    [
-        ("lunar", 60.0),
-        pytest.param("lambert", 100.0, marks=pytest.mark.slow),
-    ],
+    ("law", "phase_deg"), [("lunar", 60.0), pytest.param("lambert", 100.0, marks=pytest.mark.slow)]
 )
 def test_total_against_the_closed_form(engine, law, phase_deg):
     """Light of the whole sphere by the phase function, integrated here over wavelength by trapezoids."""
