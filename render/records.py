@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 from optics.light.collimation import Collimation
-from optics.records import freeze
+from optics.records import freeze, freeze_all
 
 LONGEST_EXPOSURE_S = 1e7
 """Four months; far beyond it, numbers of electrons leave what the arithmetic of a detector can hold."""
@@ -239,8 +239,7 @@ class Frame:
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
         freeze(self, "dn", shape=("h", "w"), dtype=np.uint16, sizes=sizes)
-        freeze(self, "saturated", shape=("h", "w"), dtype=np.bool_, sizes=sizes)
-        freeze(self, "defect", shape=("h", "w"), dtype=np.bool_, sizes=sizes)
+        freeze_all(self, saturated=("h", "w"), defect=("h", "w"), dtype=np.bool_, sizes=sizes)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -262,8 +261,7 @@ class WindowStack:
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
         freeze(self, "dn", shape=("m", "n", "h", "w"), dtype=np.uint16, sizes=sizes)
-        freeze(self, "saturated", shape=("m", "n", "h", "w"), dtype=np.bool_, sizes=sizes)
-        freeze(self, "defect", shape=("n", "h", "w"), dtype=np.bool_, sizes=sizes)
+        freeze_all(self, saturated=("m", "n", "h", "w"), defect=("n", "h", "w"), dtype=np.bool_, sizes=sizes)
         freeze(self, "corner_px", shape=("n", 2), dtype=np.int64, sizes=sizes)
 
 
@@ -313,6 +311,4 @@ class PixelMap:
     focal_length_mm: float
 
     def __post_init__(self) -> None:
-        sizes: dict[str, int] = {}
-        freeze(self, "direction", shape=("n", 3), sizes=sizes)
-        freeze(self, "pixel_px", shape=("n", 2), sizes=sizes)
+        freeze_all(self, direction=("n", 3), pixel_px=("n", 2))

@@ -16,7 +16,7 @@ from optics.errors import ConfigError, DomainError
 from optics.frames import perpendicular
 from optics.light.band import Band, BandNodes, band_nodes
 from optics.light.magnitudes import band_integral
-from optics.records import freeze
+from optics.records import freeze_all
 from render.bodies.earth_air import rayleigh_thickness
 from render.bodies.ray_maps import RayMaps
 from render.bodies.solar_system import SolarSystem
@@ -53,9 +53,7 @@ class BodyImage:
     noise_share: float
 
     def __post_init__(self) -> None:
-        sizes: dict[str, int] = {}
-        freeze(self, "electrons", shape=("b",), sizes=sizes)
-        freeze(self, "photon_px", shape=("b", 2), sizes=sizes, finite=False)
+        freeze_all(self, electrons=("b",), photon_px=("b", 2), finite=False)
 
     def dimmed(self, fraction: float) -> BodyImage:
         """The image of which a fraction of the light arrives."""

@@ -24,7 +24,7 @@ from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError, unknown_name
 from optics.light.band import Band, band_nodes
 from optics.light.magnitudes import band_photon_rate, photon_rate
-from optics.records import freeze
+from optics.records import freeze_all
 from optics.stellar_aberration import aberrated
 from render.bodies.planet_magnitudes import planet_spectrum, planet_v
 from render.catalogue.motion import Observer, earth_observer
@@ -61,10 +61,9 @@ class SolarSystem:
 
     def __post_init__(self) -> None:
         sizes = {"n": len(self.name)}
-        for field in ("direction", "to_sun_au", "to_observer_au", "to_earth_au"):
-            freeze(self, field, shape=("n", 3), sizes=sizes)
-        freeze(self, "radius_km", shape=("n",), sizes=sizes)
-        freeze(self, "magnitude_v", shape=("n",), sizes=sizes, finite=False)
+        vector = ("n", 3)
+        freeze_all(self, direction=vector, to_sun_au=vector, to_observer_au=vector, to_earth_au=vector, sizes=sizes)
+        freeze_all(self, radius_km=("n",), magnitude_v=("n",), finite=False, sizes=sizes)
 
     def __len__(self) -> int:
         return len(self.name)

@@ -20,7 +20,7 @@ from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.frames import perpendicular
 from optics.light.magnitudes import photon_rate
-from optics.records import freeze
+from optics.records import freeze, freeze_all
 from render.bodies.earth_air import BOND_ALBEDO, Air, earth_air
 from render.bodies.lunar_irradiance import KNOWN_DEG, moon_reflectance
 from render.bodies.lunar_map import HIGHLAND, MARE, lunar_map, moon_rotation
@@ -73,11 +73,9 @@ class SunlitBody:
                 f"SunlitBody: the camera is {self.distance_km:g} km from the centre of a body of {self.radius_km:g} km "
                 "radius; it must be outside"
             )
-        sizes: dict[str, int] = {}
-        freeze(self, "albedo_nm", shape=("k",), sizes=sizes)
-        if (freeze(self, "albedo", shape=("k",), sizes=sizes) < 0.0).any():
+        freeze_all(self, albedo_nm=("k",), albedo=("k",), rotation_icrs_from_body=(3, 3))
+        if (self.albedo < 0.0).any():
             raise DomainError(f"SunlitBody.albedo contains {self.albedo.min():g}; it must not be negative")
-        freeze(self, "rotation_icrs_from_body", shape=(3, 3))
         if self.albedo_map is not None:
             map_ = freeze(self, "albedo_map", shape=("rows", "columns"), dtype=np.float32, sizes={})
             if min(map_.shape) < 2 or map_.min() < 0.0:

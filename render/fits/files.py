@@ -17,11 +17,11 @@ from __future__ import annotations
 import io
 import os
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, BinaryIO, Literal
+from typing import Any, Literal
 
 import numpy as np
 from astropy.io import fits
@@ -139,18 +139,13 @@ def _frame_cards(frame: Frame) -> list[Card]:
 
 def _plain_frame(
     dn: NDArray[np.uint16], cards: list[Card], flags: NDArray[np.uint8] | None, about: list[Card]
-) -> Callable[[BinaryIO], None]:
-    """Writer of an image with its mask behind it; the bytes that astropy would write, in a fifth of its time."""
+) -> list[Any]:
+    """Content of an image with its mask behind it; the bytes that astropy would write, in a fifth of its time."""
 
     def size(kind: Card, bits: int) -> list[Card]:
         rows, columns = dn.shape
-        return [
-            kind,
-            ("BITPIX", bits, "bits of a pixel"),
-            ("NAXIS", 2, ""),
-            ("NAXIS1", columns, "columns"),
-            ("NAXIS2", rows, "rows"),
-        ]
+        axes: list[Card] = [("NAXIS", 2, ""), ("NAXIS1", columns, "columns"), ("NAXIS2", rows, "rows")]
+        return [kind, ("BITPIX", bits, "bits of a pixel"), *axes]
 
     image = [*size(("SIMPLE", True, "conforms to the FITS standard"), 16), ("EXTEND", True, "")]
     image += [("BZERO", 32768, "unsigned"), ("BSCALE", 1, ""), *cards, *SUMS]
@@ -158,29 +153,18 @@ def _plain_frame(
     parts = [(block(image), np.bitwise_xor(dn, np.uint16(0x8000)).astype(">u2"))]
     if flags is not None:
         parts.append((block(behind), flags))
-
-    def write(stream: BinaryIO) -> None:
-        for header, data in parts:
-            content = data.data.cast("B") if data.size else b""
-            stream.write(summed(header, content))
-            stream.write(content)
-            stream.write(bytes(-data.nbytes % BLOCK))
-
-    return write
+    content: list[Any] = []
+    for header, data in parts:
+        pixels = data.data.cast("B") if data.size else b""
+        content += [summed(header, pixels), pixels, bytes(-data.nbytes % BLOCK)]
+    return content
 
 
 def _compressed_frame(
     dn: NDArray[np.uint16], cards: list[Card], flags: NDArray[np.uint8] | None, about: list[Card], codec: str
-) -> Callable[[BinaryIO], None]:
-    parts = [_tiles(dn, [("EXTNAME", "FRAME", "extension name"), *cards], codec, primary=True)]
-    if flags is not None:
-        parts.append(_tiles(flags, about, codec, primary=False))
-
-    def write(stream: BinaryIO) -> None:
-        for part in parts:
-            stream.write(part)
-
-    return write
+) -> list[Any]:
+    image = _tiles(dn, [("EXTNAME", "FRAME", "extension name"), *cards], codec, primary=True)
+    return [image] if flags is None else [image, _tiles(flags, about, codec, primary=False)]
 
 
 def _tiles(data: NDArray[Any], cards: Iterable[Card], codec: str, *, primary: bool) -> bytes:
@@ -316,14 +300,14 @@ def _frame(
     )
 
 
-def _write(content: Callable[[BinaryIO], None], path: Path) -> Path:
+def _write(content: list[Any], path: Path) -> Path:
     try:
         handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written ({error.strerror})") from None
     try:
         with os.fdopen(handle, "wb") as stream:
-            content(stream)
+            stream.writelines(content)
         os.chmod(temporary, 0o666 & ~_umask())
         os.replace(temporary, path)
     except OSError as error:

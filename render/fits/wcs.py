@@ -31,7 +31,7 @@ from optics.arrays import FloatArray
 from optics.errors import ConvergenceError, DomainError
 from optics.frames import pixel_to_fits
 from optics.rays.paraxial import axial_paraxial
-from optics.records import freeze
+from optics.records import freeze_all
 from optics.units import RAD_DEG
 from render.camera import Camera
 from render.fits.headers import Card
@@ -70,15 +70,8 @@ class LensWcs:
     _constant: tuple[Card, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        freeze(self, "boresight_px", shape=(2,))
-        freeze(self, "linear", shape=(2, 2))
-        for name, order in (
-            ("a", self.order),
-            ("b", self.order),
-            ("ap", self.inverse_order),
-            ("bp", self.inverse_order),
-        ):
-            freeze(self, name, shape=(order + 1, order + 1))
+        forward, inverse = (2 * (order + 1,) for order in (self.order, self.inverse_order))
+        freeze_all(self, boresight_px=(2,), linear=(2, 2), a=forward, b=forward, ap=inverse, bp=inverse)
         object.__setattr__(self, "_constant", tuple(_constant_cards(self)))
 
     def field_deg(self, width_px: int, height_px: int) -> tuple[float, float]:

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.records import freeze, locked
+from optics.records import freeze, freeze_all, locked
 from optics.units import ARCSEC_RAD
 from render.engine.random import Streams
 from render.motion.trajectory import Trajectory
@@ -106,9 +106,7 @@ class Jittered:
     amplitude_rad: FloatArray  # (3, k) Their amplitudes
 
     def __post_init__(self) -> None:
-        sizes: dict[str, int] = {}
-        for name in ("frequency_hz", "phase_rad", "amplitude_rad"):
-            freeze(self, name, shape=(3, "k"), sizes=sizes)
+        freeze_all(self, frequency_hz=(3, "k"), phase_rad=(3, "k"), amplitude_rad=(3, "k"))
 
     @property
     def start_s(self) -> float:

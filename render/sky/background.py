@@ -31,7 +31,7 @@ from optics.light.band import Band, band_nodes
 from optics.light.magnitudes import band_integral, photon_rate
 from optics.light.spectrum import Sed
 from optics.rays.spots import spot_moments
-from optics.records import freeze
+from optics.records import freeze_all
 from render.camera import Camera
 from render.catalogue.motion import Observer, earth_observer
 from render.sky.field import FieldOfView, field_of_view
@@ -102,13 +102,10 @@ class BackgroundMap:
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {"b": len(self.band)}
-        freeze(self, "wavelength_nm", shape=("b", "k"), sizes=sizes)
-        freeze(self, "weight_nm", shape=("b", "k"), sizes=sizes)
-        freeze(self, "sunlight_factor", shape=("b",), sizes=sizes)
-        freeze(self, "etendue_mm2_sr", shape=("h", "w", "b"), dtype=np.float32, sizes=sizes)
-        freeze(self, "direction", shape=("gy", "gx", 3), sizes=sizes)
-        freeze(self, "spline_x", shape=("gx", "w"), dtype=np.float32, sizes=sizes)
-        freeze(self, "spline_y", shape=("h", "gy"), dtype=np.float32, sizes=sizes)
+        freeze_all(self, wavelength_nm=("b", "k"), weight_nm=("b", "k"), sunlight_factor=("b",), sizes=sizes)
+        freeze_all(self, direction=("gy", "gx", 3), sizes=sizes)
+        maps = {"etendue_mm2_sr": ("h", "w", "b"), "spline_x": ("gx", "w"), "spline_y": ("h", "gy")}
+        freeze_all(self, **maps, dtype=np.float32, sizes=sizes)
 
 
 def background_map(camera: Camera, bands: Sequence[Band], *, nodes: int = 5) -> BackgroundMap:

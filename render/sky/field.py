@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.rays.paraxial import axial_paraxial
-from optics.records import freeze
+from optics.records import freeze, freeze_all
 from optics.stellar_aberration import aberrated
 from render.camera import Camera
 from render.catalogue.index import SkyIndex
@@ -51,8 +51,7 @@ class FieldOfView:
     residual_px: float
 
     def __post_init__(self) -> None:
-        freeze(self, "half_width", shape=(2,))
-        freeze(self, "coefficient", shape=("d", "d", 2), sizes={})
+        freeze_all(self, half_width=(2,), coefficient=("d", "d", 2))
 
     @property
     def radius_rad(self) -> float:
@@ -179,9 +178,7 @@ class SkyField:
     def __post_init__(self) -> None:
         sizes = {"m": len(self.stars)}
         freeze(self, "row", shape=("m",), dtype=np.int64, sizes=sizes)
-        freeze(self, "direction", shape=("m", 3), sizes=sizes)
-        freeze(self, "pixel_px", shape=("m", 2), sizes=sizes)
-        freeze(self, "rotation_cam_from_icrs", shape=(3, 3))
+        freeze_all(self, direction=("m", 3), pixel_px=("m", 2), rotation_cam_from_icrs=(3, 3), sizes=sizes)
 
     def __len__(self) -> int:
         return len(self.row)

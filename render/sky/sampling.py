@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from optics.arrays import FloatArray
 from optics.errors import ConfigError
-from optics.records import freeze
+from optics.records import freeze_all
 from render.catalogue.index import SkyIndex
 from render.sky.field import FieldOfView
 
@@ -27,10 +27,8 @@ class SkySample:
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
-        freeze(self, "frame", shape=("m",), dtype=np.int64, sizes=sizes)
-        freeze(self, "row", shape=("m",), dtype=np.int64, sizes=sizes)
-        freeze(self, "direction", shape=("m", 3), sizes=sizes)
-        freeze(self, "pixel_px", shape=("m", 2), sizes=sizes)
+        freeze_all(self, frame=("m",), row=("m",), dtype=np.int64, sizes=sizes)
+        freeze_all(self, direction=("m", 3), pixel_px=("m", 2), sizes=sizes)
 
     def summed(self, values: FloatArray) -> FloatArray:
         """Sum of values (m,) over the stars of each attitude, (f,)."""

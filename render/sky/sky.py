@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.records import freeze
+from optics.records import freeze_all
 from render.catalogue.index import SkyIndex, build_index
 from render.catalogue.motion import Observer, directions_at, earth_observer
 from render.catalogue.record import StarCatalog
@@ -51,9 +51,7 @@ class Sky:
     observer: Observer | None = None
 
     def __post_init__(self) -> None:
-        sizes: dict[str, int] = {"n": len(self.index)}
-        freeze(self, "direction", shape=("n", 3), sizes=sizes)
-        freeze(self, "temperature_k", shape=("n",), sizes=sizes)
+        freeze_all(self, direction=("n", 3), temperature_k=("n",), sizes={"n": len(self.index)})
 
     def __repr__(self) -> str:
         seen_from = "the barycentre" if self.observer is None else "an observer"

@@ -15,7 +15,7 @@ from optics.errors import DomainError
 from optics.light.band import Band, band_nodes
 from optics.light.magnitudes import photon_rate
 from optics.light.spectrum import Blackbody, Sed
-from optics.records import freeze
+from optics.records import freeze_all
 from render.records import StarField
 
 TEMPERATURE_KNOTS = 96
@@ -33,8 +33,7 @@ class StarLight:
     spline: Any  # Logarithm of the photon rate of a star of magnitude 0 at each node over log T, (b, k)
 
     def __post_init__(self) -> None:
-        freeze(self, "wavelength_nm", shape=("b", "k"), sizes={"b": len(self.band)})
-        freeze(self, "log_temperature", shape=("s",), sizes={})
+        freeze_all(self, wavelength_nm=("b", "k"), log_temperature=("s",), sizes={"b": len(self.band)})
 
     def photon_rate(self, magnitude: FloatArray, temperature_k: FloatArray) -> FloatArray:
         """Photons s^-1 mm^-2 that each node stands for, (n, b, k), of n stars."""
