@@ -199,10 +199,7 @@ class StarRenderer:
     def save(self, path: str | Path) -> list[Path]:
         """Write the scene of the last image (`render.plugins.scene_files.save_scene`), for ``mi.load_file``.
 
-        Raises
-        ------
-        ConfigError
-            Before the first image.
+        `ConfigError` before the first image.
         """
         if self._last is None:
             raise ConfigError("no image was rendered yet; render one, then save its scene")

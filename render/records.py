@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,6 +83,10 @@ class StarField:
 
     def __len__(self) -> int:
         return len(self.direction)
+
+    def select(self, rows: slice | IntArray | NDArray[np.bool_]) -> StarField:
+        """Some of the stars."""
+        return replace(self, direction=self.direction[rows], photon_rate=self.photon_rate[rows])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -96,11 +96,18 @@ class StarSensor:
     @property
     def known_range_nm(self) -> tuple[float, float]:
         """Wavelengths of the lens design with data of glasses, coatings and quantum efficiency."""
-        ranges = [glass.range_nm for glass in self.camera.lens.glasses.values()]
-        ranges.append(self.camera.lens.wavelength_range_nm)
-        if self.camera.response is not None:
-            ranges.append(self.camera.response.range_nm)
-        return max(low for low, _ in ranges), min(high for _, high in ranges)
+        (low, _), (high, _) = self._limits_nm
+        return low, high
+
+    @property
+    def _limits_nm(self) -> tuple[tuple[float, str], tuple[float, str]]:
+        """Both ends of `known_range_nm`, each with what ends there."""
+        lens, response = self.camera.lens, self.camera.response
+        ranges = [(glass.range_nm, f"glass {name}") for name, glass in lens.glasses.items()]
+        ranges.append((lens.wavelength_range_nm, "the lens"))
+        if response is not None:
+            ranges.append((response.range_nm, "the quantum efficiency and transmission tables"))
+        return max((span[0], source) for span, source in ranges), min((span[1], source) for span, source in ranges)
 
     def passband(self, range_nm: tuple[float, float] | None = None, *, edge_nm: float = 20.0, name: str = "") -> TopHat:
         """A pass band with sloping edges.
@@ -137,29 +144,11 @@ class StarSensor:
         return band
 
     def check_band(self, key: str, band: Band) -> None:
-        """Refuse a band beyond the data of glasses, coatings and quantum efficiency.
+        """Refuse a band beyond the data of glasses, coatings and quantum efficiency (`DomainError`).
 
-        Parameters
-        ----------
-        key : str
-            Setting that describes the band, to open the message.
-        band : Band
-            The band.
-
-        Raises
-        ------
-        DomainError
-            Naming the key, the band and the range.
+        The message names ``key``, the setting that describes the band, with the band and the range.
         """
-        lens = self.camera.lens
-        ranges = [(glass.range_nm, f"glass {name}") for name, glass in lens.glasses.items()]
-        ranges.append((lens.wavelength_range_nm, "the lens"))
-        if self.camera.response is not None:
-            ranges.append((self.camera.response.range_nm, "the quantum efficiency and transmission tables"))
-        (low, first), (high, last) = (
-            max((range_nm[0], what) for range_nm, what in ranges),
-            min((range_nm[1], what) for range_nm, what in ranges),
-        )
+        lens, ((low, first), (high, last)) = self.camera.lens, self._limits_nm
         start, end = min(band.breakpoints_nm), max(band.breakpoints_nm)
         if start < low * (1.0 - _ROUNDING) or end > high * (1.0 + _ROUNDING):
             limit = first if start < low else last
@@ -177,10 +166,7 @@ class StarSensor:
     def windowed(self, width_px: int, height_px: int) -> Self:
         """The sensor of which only the middle of the detector is read out.
 
-        Raises
-        ------
-        DomainError
-            A window larger than the detector, or cut from several chips.
+        `DomainError` on a window larger than the detector, or cut from several chips.
         """
         detector, camera = self.detector, self.camera
         if (width_px, height_px) == (detector.width_px, detector.height_px):
@@ -232,12 +218,7 @@ class StarSensor:
     def focus_curve(self, wavelength_nm: FloatArray, fraction: FloatArray) -> FocusCurve:
         """Mean square spot over the detector against a shift of the detector.
 
-        Parameters
-        ----------
-        wavelength_nm : (w,)
-            Wavelengths [nm].
-        fraction : (w,)
-            Light at each, relative.
+        ``fraction`` (w,) is the light, relative, at the wavelengths (w,).
         """
         camera, lens = self.camera, self.camera.focused_lens
         radius_px = 0.5 * math.hypot(camera.width_px, camera.height_px) * np.array(FIELD_FRACTIONS)
@@ -288,13 +269,7 @@ class StarSensor:
         )
 
     def check_field(self) -> None:
-        """Refuse a detector far larger than the design field of the lens.
-
-        Raises
-        ------
-        DomainError
-            With the window that does not.
-        """
+        """Refuse a detector far larger than the design field of the lens: `DomainError` with the window that is not."""
         camera, limit = self.camera, self.camera.lens.max_field_deg
         corner_px = math.hypot(camera.width_px, camera.height_px) / 2
         corner = self.direction_at(*camera.centre_px[:, None] + [[corner_px], [0.0]])[0]

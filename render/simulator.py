@@ -581,9 +581,7 @@ class SkySimulator:
         v_cam = system.direction @ attitude.as_matrix().T
         rows = np.flatnonzero(v_cam[:, 2] > 0.0)
         rows = rows[self.view.on_detector(self.pixel_px(v_cam[rows]), self._planet_margin_px)]
-        return system.select(rows), joined(
-            stars, replace(light, direction=light.direction[rows], photon_rate=light.photon_rate[rows])
-        )
+        return system.select(rows), joined(stars, light.select(rows))
 
     def _ghost_light(
         self, sources: StarField, truth: Truth, count: int, field: SkyField | None, attitude: Rotation
@@ -591,7 +589,7 @@ class SkySimulator:
         """Ghosts of ``count`` stars in the frame and, for those of a sky, of all that is outside."""
         assert self._ghost_sources is not None
         image = np.zeros((*self.sensor.detector.shape, 1), np.float32)
-        stars = replace(sources, direction=sources.direction[:count], photon_rate=sources.photon_rate[:count])
+        stars = sources.select(slice(count))
         star_truth = truth.select(slice(count))
         if field is None:
             v = stars.direction @ attitude.as_matrix().T
@@ -677,22 +675,10 @@ def observe(
 
     Parameters
     ----------
-    sensor : StarSensor
-        Camera and detector (`load_star_sensor`).
-    attitude : Rotation or Trajectory
-        cam from icrs (`optics.attitude_from_angles`), or how the camera moves, from its start on.
-    sky : Sky, optional
-        The stars (`load_sky`); the built-in sky to G = 8 if left out.
-    exposure_s : float, optional
-        Exposure time; the sensor's if left out.
-    seed : int
-        Of the noise.
-    rate_deg_per_s : (3,), optional
-        Angular velocity in cam axes.
-    velocity_km_per_s : (3,), optional
-        Velocity of the camera along icrs, in place of that of the sky's observer.
-    lens_state : ThermalState, optional
-        Temperature field of the lens; needs ``housing=``.
+    sensor, sky, exposure_s, seed
+        As in `SkySimulator`.
+    attitude, rate_deg_per_s, velocity_km_per_s, lens_state
+        As in `SkySimulator.expected`.
     layers : bool
         Whether the light of every source is also returned separately.
     **settings

@@ -63,7 +63,7 @@ class GhostSources:
         self._stray = stray
         bright, nodes = ghosting.bright(stars, exposure_s), stars.wavelength_nm.shape[1]
         self._id = star_id[bright]
-        self._stars = replace(stars, direction=stars.direction[bright], photon_rate=stars.photon_rate[bright])
+        self._stars = stars.select(bright)
         self._bodies: list[tuple[str, StarField, float]] = []
         if observer is None:
             return
@@ -91,7 +91,7 @@ class GhostSources:
         direction = self._stars.direction @ turn
         outside = (direction[:, 2] > 0.0) & ~np.isin(self._id, star_id)
         names = [str(ghost) for ghost in self._id[outside].tolist()]
-        others = replace(self._stars, direction=direction[outside], photon_rate=self._stars.photon_rate[outside])
+        others = replace(self._stars.select(outside), direction=direction[outside])
         first, seconds = len(stars), self.exposure_s
         ghosts.append(self.ghosting.add_beside(image, others, exposure_s=seconds, first=first))
         table_e_per_s = {} if self._stray is None else self._stray.ghosts(attitude)

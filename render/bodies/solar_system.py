@@ -13,7 +13,7 @@ A body smaller than about a pixel is added to the stars (`planet_field`, `joined
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -102,16 +102,10 @@ class SolarSystem:
     def select(self, rows: ArrayLike) -> SolarSystem:
         """Some of the bodies, by mask or index (m,)."""
         chosen = np.arange(len(self))[np.asarray(rows)]
-        return SolarSystem(
-            name=tuple(self.name[i] for i in chosen),
-            direction=self.direction[chosen],
-            to_sun_au=self.to_sun_au[chosen],
-            to_observer_au=self.to_observer_au[chosen],
-            to_earth_au=self.to_earth_au[chosen],
-            radius_km=self.radius_km[chosen],
-            magnitude_v=self.magnitude_v[chosen],
-            epoch_year=self.epoch_year,
-        )
+        arrays = {
+            name: values[chosen] for name in self.__slots__ if isinstance(values := getattr(self, name), np.ndarray)
+        }
+        return replace(self, name=tuple(self.name[i] for i in chosen), **arrays)
 
 
 def solar_system(epoch_year: float, *, observer: Observer | None = None, bodies: Sequence[str] = BODIES) -> SolarSystem:
@@ -211,10 +205,7 @@ def joined(first: StarField, *others: StarField) -> StarField:
                 f"star fields of bands {', '.join(first.band)} and {', '.join(other.band)} do not share wavelengths; "
                 "make both with the same bands and number of nodes"
             )
-    parts = (first, *others)
-    return StarField(
-        direction=np.concatenate([part.direction for part in parts]),
-        wavelength_nm=first.wavelength_nm,
-        photon_rate=np.concatenate([part.photon_rate for part in parts]),
-        band=first.band,
+    direction, photon_rate = (
+        np.concatenate([getattr(part, name) for part in (first, *others)]) for name in ("direction", "photon_rate")
     )
+    return StarField(direction=direction, wavelength_nm=first.wavelength_nm, photon_rate=photon_rate, band=first.band)

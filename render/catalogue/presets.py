@@ -9,28 +9,11 @@ from typing import Any, Literal
 from optics.errors import ConfigError, unknown_name
 
 MEANINGS: Mapping[str, str] = {
-    "id": "",
-    "ra": "rad",
-    "dec": "rad",
-    "pm_ra": "rad / yr",
-    "pm_dec": "rad / yr",
-    "parallax": "rad",
-    "radial_velocity": "km / s",
-    "magnitude": "mag",
-    "bp_rp": "mag",
-    "b_v": "mag",
-    "bp": "mag",
-    "rp": "mag",
-    "effective_temperature": "K",
-    "epoch": "yr",
-    "ra_hour": "h",
-    "ra_minute": "min",
-    "ra_second": "s",
-    "dec_sign": "",
-    "dec_degree": "deg",
-    "dec_minute": "arcmin",
-    "dec_second": "arcsec",
-}
+    "id": "", "ra": "rad", "dec": "rad", "pm_ra": "rad / yr", "pm_dec": "rad / yr", "parallax": "rad",
+    "radial_velocity": "km / s", "magnitude": "mag", "bp_rp": "mag", "b_v": "mag", "bp": "mag", "rp": "mag",
+    "effective_temperature": "K", "epoch": "yr", "ra_hour": "h", "ra_minute": "min", "ra_second": "s",
+    "dec_sign": "", "dec_degree": "deg", "dec_minute": "arcmin", "dec_second": "arcsec",
+}  # fmt: skip
 """Quantities of columns, with the unit that they are converted to; proper motion in ra holds the factor cos dec."""
 
 _USUAL_UNITS = {**MEANINGS, "ra": "deg", "dec": "deg", "pm_ra": "mas / yr", "pm_dec": "mas / yr", "parallax": "mas"}
@@ -67,6 +50,22 @@ _OPEN_BRIGHT_STAR = {
 }  # fmt: skip
 """First character, counted from 1, and width of the fields, as its ReadMe states them."""
 
+_HIPPARCOS = {
+    "id": ("HIP",), "ra": ("RAICRS", "RAdeg", "ra"), "dec": ("DEICRS", "DEdeg", "de"), "pm_ra": ("pmRA", "pm_ra"),
+    "pm_dec": ("pmDE", "pm_de"), "parallax": ("Plx",), "magnitude": ("Vmag",), "b_v": ("B-V", "b_v"),
+}  # fmt: skip
+_GAIA = {
+    "id": ("source_id", "Source"), "ra": ("ra", "RA_ICRS"), "dec": ("dec", "DE_ICRS"), "pm_ra": ("pmra", "pmRA"),
+    "pm_dec": ("pmdec", "pmDE"), "parallax": ("parallax", "Plx"), "radial_velocity": ("radial_velocity", "RV"),
+    "magnitude": ("phot_g_mean_mag", "Gmag"), "bp_rp": ("bp_rp", "BP-RP"), "bp": ("phot_bp_mean_mag", "BPmag"),
+    "rp": ("phot_rp_mean_mag", "RPmag"), "effective_temperature": ("teff_gspphot", "Teff"), "epoch": ("ref_epoch",),
+}  # fmt: skip
+_BRIGHT_STAR = {
+    "id": ("HR",), "ra": ("RAJ2000",), "dec": ("DEJ2000",), "ra_hour": ("RAh",), "ra_minute": ("RAm",),
+    "ra_second": ("RAs",), "dec_sign": ("DE-",), "dec_degree": ("DEd",), "dec_minute": ("DEm",), "dec_second": ("DEs",),
+    "pm_ra": ("pmRA",), "pm_dec": ("pmDE",), "parallax": ("Parallax",), "radial_velocity": ("RadVel",),
+    "magnitude": ("Vmag",), "b_v": ("B-V",),
+}  # fmt: skip
 _PRESETS = {
     preset.name: preset
     for preset in (
@@ -76,16 +75,7 @@ _PRESETS = {
             attribution="ESA Hipparcos",
             epoch_year=1991.25,
             magnitude_system="V",
-            columns={
-                "id": ("HIP",),
-                "ra": ("RAICRS", "RAdeg", "ra"),
-                "dec": ("DEICRS", "DEdeg", "de"),
-                "pm_ra": ("pmRA", "pm_ra"),
-                "pm_dec": ("pmDE", "pm_de"),
-                "parallax": ("Plx",),
-                "magnitude": ("Vmag",),
-                "b_v": ("B-V", "b_v"),
-            },
+            columns=_HIPPARCOS,
         ),
         ColumnPreset(
             name="gaia",
@@ -93,21 +83,7 @@ _PRESETS = {
             attribution="ESA/Gaia/DPAC, CC BY-SA 3.0 IGO",
             epoch_year=2016.0,
             magnitude_system="G",
-            columns={
-                "id": ("source_id", "Source"),
-                "ra": ("ra", "RA_ICRS"),
-                "dec": ("dec", "DE_ICRS"),
-                "pm_ra": ("pmra", "pmRA"),
-                "pm_dec": ("pmdec", "pmDE"),
-                "parallax": ("parallax", "Plx"),
-                "radial_velocity": ("radial_velocity", "RV"),
-                "magnitude": ("phot_g_mean_mag", "Gmag"),
-                "bp_rp": ("bp_rp", "BP-RP"),
-                "bp": ("phot_bp_mean_mag", "BPmag"),
-                "rp": ("phot_rp_mean_mag", "RPmag"),
-                "effective_temperature": ("teff_gspphot", "Teff"),
-                "epoch": ("ref_epoch",),
-            },
+            columns=_GAIA,
         ),
         ColumnPreset(
             name="bright_star",
@@ -115,24 +91,7 @@ _PRESETS = {
             "taken for icrs",
             epoch_year=2000.0,
             magnitude_system="V",
-            columns={
-                "id": ("HR",),
-                "ra": ("RAJ2000",),
-                "dec": ("DEJ2000",),
-                "ra_hour": ("RAh",),
-                "ra_minute": ("RAm",),
-                "ra_second": ("RAs",),
-                "dec_sign": ("DE-",),
-                "dec_degree": ("DEd",),
-                "dec_minute": ("DEm",),
-                "dec_second": ("DEs",),
-                "pm_ra": ("pmRA",),
-                "pm_dec": ("pmDE",),
-                "parallax": ("Parallax",),
-                "radial_velocity": ("RadVel",),
-                "magnitude": ("Vmag",),
-                "b_v": ("B-V",),
-            },
+            columns=_BRIGHT_STAR,
             units={"pm_ra": "arcsec / yr", "pm_dec": "arcsec / yr", "parallax": "arcsec"},
         ),
         ColumnPreset(

@@ -179,13 +179,7 @@ class StarCatalog:
         return replace(self, **columns)
 
     def row_of(self, identifier: int) -> int:
-        """Row of a star by its id.
-
-        Raises
-        ------
-        ConfigError
-            No such star.
-        """
+        """Row of a star by its id; `ConfigError` without such a star."""
         rows = np.flatnonzero(self.id == identifier)
         if not len(rows):
             raise ConfigError(f"catalogue {self.name!r} has no star with id {identifier}")

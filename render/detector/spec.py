@@ -254,12 +254,8 @@ class Detector:
     def dark_factor(self, temperature_c: float) -> float:
         """Dark current at a temperature over that at the reference.
 
-        2^((T - T_ref) / T_double); of a tabulated curve its logarithm, linear in 1/T between the points.
-
-        Raises
-        ------
-        DomainError
-            On a temperature outside -200 to 150 C, or outside the curve.
+        2^((T - T_ref) / T_double); of a tabulated curve its logarithm, linear in 1/T between the points. `DomainError`
+        outside -200 to 150 C, or outside the curve.
         """
         if self.dark_curve_c:
             low, high = self.dark_curve_c[0], self.dark_curve_c[-1]

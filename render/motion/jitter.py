@@ -110,12 +110,10 @@ class Jittered:
 
     @property
     def start_s(self) -> float:
-        """First time of the trajectory [s]."""
         return self.base.start_s
 
     @property
     def end_s(self) -> float:
-        """Last time of the trajectory [s]."""
         return self.base.end_s
 
     def offset_rad(self, time_s: ArrayLike) -> FloatArray:
@@ -123,7 +121,6 @@ class Jittered:
         return self._sum(time_s, np.cos, self.amplitude_rad)
 
     def attitude(self, time_s: ArrayLike) -> Rotation:
-        """Body from reference at a time, or at n of them [s]."""
         base = self.base.attitude(time_s)
         return Rotation.from_rotvec(-self.offset_rad(time_s)) * base
 

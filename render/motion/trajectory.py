@@ -95,12 +95,10 @@ class ConstantRate:
         _check_span("ConstantRate", self.start_s, self.end_s)
 
     def attitude(self, time_s: ArrayLike) -> Rotation:
-        """Body from reference at a time, or at n of them [s]."""
         elapsed = _times(self, time_s) - self.start_s
         return Rotation.from_rotvec(-elapsed[..., None] * self.rate_rad_per_s) * self.initial
 
     def rate(self, time_s: ArrayLike) -> FloatArray:
-        """Angular velocity in body axes [rad/s]; the same at all times."""
         t = _times(self, time_s)
         return np.broadcast_to(self.rate_rad_per_s, (*t.shape, 3)).copy()
 
@@ -128,20 +126,16 @@ class SampledAttitude:
 
     @property
     def start_s(self) -> float:
-        """First sample [s]."""
         return float(self.samples_s[0])
 
     @property
     def end_s(self) -> float:
-        """Last sample [s]."""
         return float(self.samples_s[-1])
 
     def attitude(self, time_s: ArrayLike) -> Rotation:
-        """Body from reference at a time, or at n of them [s]."""
         return self._spline(_times(self, time_s)).inv()
 
     def rate(self, time_s: ArrayLike) -> FloatArray:
-        """Angular velocity in body axes [rad/s]."""
         return np.asarray(self._spline(_times(self, time_s), 1))
 
 
@@ -171,13 +165,11 @@ class Slew:
         return np.asarray(-(self.final * self.initial.inv()).as_rotvec())
 
     def attitude(self, time_s: ArrayLike) -> Rotation:
-        """Body from reference at a time, or at n of them [s]."""
         s = (_times(self, time_s) - self.start_s) / (self.end_s - self.start_s)
         part = s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
         return Rotation.from_rotvec(-part[..., None] * self.turn_rad) * self.initial
 
     def rate(self, time_s: ArrayLike) -> FloatArray:
-        """Angular velocity in body axes [rad/s]."""
         duration = self.end_s - self.start_s
         s = (_times(self, time_s) - self.start_s) / duration
         return np.asarray((30.0 * s**2 * (1.0 - s) ** 2 / duration)[..., None] * self.turn_rad)
@@ -202,7 +194,6 @@ class TurningAxis:
 
     @property
     def start_s(self) -> float:
-        """First time [s]."""
         return 0.0
 
     @property
@@ -210,13 +201,11 @@ class TurningAxis:
         return self.speed_rad_per_s * np.array([np.cos(TURNING_TILT), 0.0, np.sin(TURNING_TILT)])
 
     def attitude(self, time_s: ArrayLike) -> Rotation:
-        """Body from reference at a time, or at n of them [s]."""
         time = _times(self, time_s)[..., None]
         z = np.array([0.0, 0.0, self.turns_rad_per_s])
         return Rotation.from_rotvec(z * time) * Rotation.from_rotvec(-(self._fixed + z) * time) * self.initial
 
     def rate(self, time_s: ArrayLike) -> FloatArray:
-        """Angular velocity in body axes [rad/s]."""
         time = _times(self, time_s)[..., None]
         z = np.array([0.0, 0.0, self.turns_rad_per_s])
         return np.asarray(Rotation.from_rotvec(z * time).apply(self._fixed))
@@ -227,32 +216,28 @@ class Mounted:
     """The motion of an object fixed to a moving body, e.g. a camera; see `mounted`."""
 
     body: Trajectory  # Motion of the body
-    mount: Rotation  # The thing's axes from the body's axes: ``v_thing = R v_body``
+    mount: Rotation  # The object's axes from the body's axes: ``v_object = R v_body``
 
     def __post_init__(self) -> None:
         _check_single("Mounted", "mount", self.mount)
 
     @property
     def start_s(self) -> float:
-        """First time of the body [s]."""
         return self.body.start_s
 
     @property
     def end_s(self) -> float:
-        """Last time of the body [s]."""
         return self.body.end_s
 
     def attitude(self, time_s: ArrayLike) -> Rotation:
-        """The thing's axes from the reference at a time, or at n of them [s]."""
         return self.mount * self.body.attitude(time_s)
 
     def rate(self, time_s: ArrayLike) -> FloatArray:
-        """Angular velocity in the thing's axes [rad/s]."""
         return np.asarray(self.mount.apply(self.body.rate(time_s)))
 
 
 def mounted(body: Trajectory, mount: Rotation) -> Mounted:
-    """Trajectory of an object fixed to a body, with ``v_thing = mount v_body``: ``mounted(body, cam_from_body)``."""
+    """Trajectory of an object fixed to a body, with ``v_object = mount v_body``: ``mounted(body, cam_from_body)``."""
     return Mounted(body=body, mount=mount)
 
 
