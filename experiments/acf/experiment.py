@@ -123,14 +123,12 @@ class Night:
 class Levels:
     """Settings along which the numbers of the figures run."""
 
-    noise_px: Sequence[float] = col(
-        "Star noise", "px", dims="noise", json={"*": ["fig3a.noise_px", "fig3b.noise_px", "fig5.noise_px"]}
-    )
-    bias: Sequence[float] = col("Bias", "°/h", dims="bias", json="fig3a.bias_deg_per_h")
-    walk: Sequence[float] = col("Angle random walk", "°/√h", dims="walk", json="fig3b.angle_random_walk_deg_per_sqrt_h")
-    stars: Sequence[int] = col("Stars", "per frame", dims="stars", json="gain_sweep.stars_per_frame")
-    factor: Sequence[float] = col("Gyro noise", dims="factor", json="gain_sweep.gyro_factor")
-    skies: int = col("Skies", json="gain_sweep.n")
+    noise_px: Sequence[float] = col("Star noise", "px", dims="noise")
+    bias: Sequence[float] = col("Bias", "°/h", dims="bias")
+    walk: Sequence[float] = col("Angle random walk", "°/√h", dims="walk")
+    stars: Sequence[int] = col("Stars", "per frame", dims="stars")
+    factor: Sequence[float] = col("Gyro noise", dims="factor")
+    skies: int = col("Skies")
 
 
 def axes(config: Config) -> Quantities:
@@ -141,9 +139,9 @@ def axes(config: Config) -> Quantities:
     factors = config.sweep.gyro_factor
     perfect = "perfect gyro"
     q.axis("axis", ["x", "y"], "Axis")
-    q.axis("noise", config.noise_px, "Star noise", unit="px", format=".2f", key="noise_px")
-    q.axis("bias", biases, "Bias", key="bias", names=[f"{v:g} °/h" if v else perfect for v in biases])
-    q.axis("walk", walks, "Angle random walk", key="walk", names=[f"{v:g} °/√h" if v else perfect for v in walks])
+    q.axis("noise", config.noise_px, "Star noise", unit="px", format=".2f")
+    q.axis("bias", biases, "Bias", names=[f"{v:g} °/h" if v else perfect for v in biases])
+    q.axis("walk", walks, "Angle random walk", names=[f"{v:g} °/√h" if v else perfect for v in walks])
     q.axis("case", ["assumed", "inferred"], "Fig. 4", names=["assumed", "inferred"])
     q.axis("count_gyro", ["perfect", "table1"], "Gyro", names=[perfect, "ACF17's gyro"])
     q.axis("unknown", UNKNOWNS, "Unknown", names=NAMES)
@@ -168,7 +166,7 @@ class Failed:
 class Failures:
     """Judged number of failures; in the sweep some are expected: two stars per frame, a gyro of large noise."""
 
-    failures_n: int = col("Calibrations that did not converge", json="")
+    failures_n: int = col("Calibrations that did not converge")
 
 
 def failed(trials: Sequence[Trials], method: str) -> Failed:
@@ -239,9 +237,9 @@ SECTIONS = {
     **TABLE2,
     **METHODS,
     **GAIN,
-    "levels": Section(record=Levels, prefix="level_"),
-    "failed": Section(record=Failed, dim="method", prefix="figures_", place="not_converged.figures[method]"),
-    "failed_sweep": Section(record=Failed, dim="swept", prefix="gain_sweep_", place="not_converged.gain_sweep[swept]"),
+    "levels": Section(record=Levels),
+    "failed": Section(record=Failed, dim="method"),
+    "failed_sweep": Section(record=Failed, dim="swept"),
     "failures": Section(
         record=Failures,
         verdicts=[

@@ -41,14 +41,14 @@ def sweep_points(config: Config) -> list[Point]:
 class Gain:
     """Median error of free attitudes over that of another method, by size of the gyro's noise."""
 
-    stars: int = col("Stars", key="stars_per_frame", json="")
-    acc: Row = col("ACC", dims="factor", json_error="acc_error")
+    stars: int = col("Stars")
+    acc: Row = col("ACC", dims="factor")
     acc_bound: FloatArray = col("Expected", "", ".2f", "factor")
-    linked: Row = col("Gyro of stated noise", dims="factor", json_error="linked_error")
+    linked: Row = col("Gyro of stated noise", dims="factor")
     linked_bound: FloatArray = col("Bound", "", ".2f", "factor")
     # Of the logarithm of the gain, in standard deviations of gains that are drawn from the design of every sky
-    linked_z: FloatArray = col("Deviation", "sigma", "+.2f", "factor", json="", shown=False)
-    linked_whole: FloatArray = col("Deviation for an error of 100 %", "sigma", ".1f", "factor", json="", shown=False)
+    linked_z: FloatArray = col("Deviation", "sigma", "+.2f", "factor", shown=False)
+    linked_whole: FloatArray = col("Deviation for an error of 100 %", "sigma", ".1f", "factor", shown=False)
 
 
 def gains(config: Config, trials: Mapping[str, Trials]) -> list[Gain]:
@@ -108,15 +108,13 @@ GAIN = {
         record=Gain,
         dim="stars",
         along="stars",
-        prefix="gain_",
-        place="gain_sweep",
         caption="Gain over free attitudes: ratio of the median line-of-sight errors of all skies.",
         note="Expected and bound: from the design of every sky. Standard errors from resampled skies.",
         figures={
             "gain_acc": curves(
                 "stars",
-                points="gain_acc",
-                lines="gain_acc_bound",
+                points="acc",
+                lines="acc_bound",
                 by="factor",
                 level=1.0,
                 log="xy",
@@ -126,10 +124,10 @@ GAIN = {
         },
         verdicts=[
             agree(
-                "gain_linked_z",
+                "linked_z",
                 0.0,
                 error=1.0,
-                of="gain_linked_whole",
+                of="linked_whole",
                 title="gain of a gyro of stated noise against its bound",
             )
         ],

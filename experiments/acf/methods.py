@@ -62,48 +62,44 @@ class MethodErrors:
     design."""
 
     x0_px: FloatArray = col("x0", "px", ".3f", "noise")
-    expected_x0_px: FloatArray = col("Expected", "px", ".3f", "noise", json="", shown=False)
+    expected_x0_px: FloatArray = col("Expected", "px", ".3f", "noise", shown=False)
     y0_px: FloatArray = col("y0", "px", ".3f", "noise")
-    expected_y0_px: FloatArray = col("Expected", "px", ".3f", "noise", json="", shown=False)
+    expected_y0_px: FloatArray = col("Expected", "px", ".3f", "noise", shown=False)
     focal_length_mm: FloatArray = col("f", "mm", ".5f", "noise")
-    expected_focal_length_mm: FloatArray = col("Expected", "mm", ".5f", "noise", json="", shown=False)
+    expected_focal_length_mm: FloatArray = col("Expected", "mm", ".5f", "noise", shown=False)
     distortion_px: Row = col(
         "Largest residual distortion",
         "px",
         dims="noise",
-        json="largest_residual_distortion_px",
-        json_error="largest_residual_distortion_error_px",
     )
-    expected_distortion_px: FloatArray = col("Expected", "px", ".3f", "noise", json="", shown=False)
+    expected_distortion_px: FloatArray = col("Expected", "px", ".3f", "noise", shown=False)
     sight_arcsec: Row = col(
         "Line of sight",
         "arcsec",
         dims="noise",
-        json="line_of_sight_arcsec",
-        json_error="line_of_sight_error_arcsec",
     )
-    expected_sight_arcsec: FloatArray = col("Expected", "arcsec", ".3f", "noise", json="expected_line_of_sight_arcsec")
+    expected_sight_arcsec: FloatArray = col("Expected", "arcsec", ".3f", "noise")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pooled:
     """Errors of a method per pixel of star noise, all noises together."""
 
-    x0_px: float = col("x0", "px", ".2f", json="")
-    y0_px: float = col("y0", "px", ".2f", json="")
-    f_um: float = col("f", "um", ".2f", json="")
-    distortion_px: float = col("Distortion, largest", "px", ".3f", json="")
-    sight_arcsec: float = col("Line of sight", "arcsec", ".2f", json="")
-    expected_sight_arcsec: float = col("Expected", "arcsec", ".2f", json="")
-    over_expected: Measured = col("Over expected", json="", shown=False)
-    over_acc: float = col("Error / error of ACC", "", ".3f", json="")
+    x0_px: float = col("x0", "px", ".2f")
+    y0_px: float = col("y0", "px", ".2f")
+    f_um: float = col("f", "um", ".2f")
+    distortion_px: float = col("Distortion, largest", "px", ".3f")
+    sight_arcsec: float = col("Line of sight", "arcsec", ".2f")
+    expected_sight_arcsec: float = col("Expected", "arcsec", ".2f")
+    over_expected: Measured = col("Over expected", shown=False)
+    over_acc: float = col("Error / error of ACC", "", ".3f")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ratio:
     """Ratio of the errors of two methods, all noises together."""
 
-    ratio: Sequence[float] = col("Ratio of errors", "", ".2f", "error", json="fig5[ratio]")
+    ratio: Sequence[float] = col("Ratio of errors", "", ".2f", "error")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,18 +108,16 @@ class Pull:
 
     own: float = col("ACC, own covariance", "", ".3f")
     carried: float = col("ACC, gyro's error included", "", ".3f")
-    linked: Measured = col("Gyro of stated noise, own covariance", json_error="linked_error")
+    linked: Measured = col("Gyro of stated noise, own covariance")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fig5:
     """Numbers of all methods together."""
 
-    fig5_n: int = col("Runs", json="fig5.n")
-    pull_n: int = col("Runs", json="pulls.n")
-    nees_ratio: Measured = col(
-        "Errors of the 14 unknowns over their covariance, gyro of stated noise", json="nees_ratio"
-    )
+    fig5_n: int = col("Runs")
+    pull_n: int = col("Runs")
+    nees_ratio: Measured = col("Errors of the 14 unknowns over their covariance, gyro of stated noise")
 
 
 def methods(config: Config, trials: Mapping[str, Trials]) -> dict[str, object]:
@@ -264,7 +258,6 @@ METHODS = {
     "fig5": Section(
         record=MethodErrors,
         dim="method",
-        place="fig5[method]",
         caption="ACF17 Fig. 5 with further methods: RMS errors; mean of the largest residual distortion.",
         figures={
             "fig5_distortion": panel("distortion_px", "Largest residual distortion"),
@@ -274,12 +267,11 @@ METHODS = {
     "methods": Section(
         record=Pooled,
         dim="method",
-        prefix="pooled_",
         caption="Errors of the methods of Fig. 5 per pixel of star noise, for all noise values together.",
         note="Line of sight: RMS over the detector after the best rotation.",
         verdicts=[
             ratio_near(
-                "pooled_over_expected",
+                "over_expected",
                 within=0.05,
                 at={"method": method},
                 title="line-of-sight error over that expected from the design",
@@ -288,12 +280,10 @@ METHODS = {
             for method in ("acc", "free")
         ],
     ),
-    "ratios": Section(record=Ratio, dim="ratio", prefix="method_"),
+    "ratios": Section(record=Ratio, dim="ratio"),
     "pulls": Section(
         record=Pull,
         dim="unknown",
-        prefix="pull_",
-        place="pulls",
         caption="RMS pull (error over predicted standard deviation) of the 14 unknowns; expected 1.",
     ),
     "fig5_all": Section(

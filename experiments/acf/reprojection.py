@@ -25,7 +25,6 @@ FIG4_RMS_PX = np.array([0.0132, 0.0123])
 """ACF17 Fig. 4: RMS reprojection error, x and y, for 0.1 px of star noise and the gyro of Table 1."""
 FIG4_LARGEST_PX = 0.04
 """ACF17 Fig. 4: all reprojection errors are below."""
-ASSUMED, INFERRED = "assumed", "inferred"
 """Pixel and stars of the settings, and as implied by Table 2 (`experiments.acf.table2.implied`)."""
 
 Row = Sequence[Measured]
@@ -102,7 +101,7 @@ def mean_length(trials: Trials, gyro: int) -> Measured:
 class ByBias:
     """Fig. 3a: random walk zero."""
 
-    rms_px: Sequence[Row] = col("RMS reprojection error", "px", ".4f", "noise bias", json_error="error_px")
+    rms_px: Sequence[Row] = col("RMS reprojection error", "px", ".4f", "noise bias")
     expected_px: FloatArray = col("Expected", "px", ".4f", "noise bias")
     n: int = col("Runs", shown=False)
 
@@ -111,7 +110,7 @@ class ByBias:
 class ByWalk:
     """Fig. 3b: bias zero."""
 
-    rms_px: Sequence[Row] = col("RMS reprojection error", "px", ".4f", "noise walk", json_error="error_px")
+    rms_px: Sequence[Row] = col("RMS reprojection error", "px", ".4f", "noise walk")
     expected_px: FloatArray = col("Expected", "px", ".4f", "noise walk")
     n: int = col("Runs", shown=False)
 
@@ -133,28 +132,21 @@ def fig3(config: Config, trials: Mapping[str, Trials]) -> tuple[ByBias, ByWalk]:
     return part(ByBias, range(1 + biases)), part(ByWalk, [perfect, *walks])
 
 
-def of_case(name: str, *also: str) -> dict[str, list[str]]:
-    """Places in ``summary.json`` of a number that both cases have."""
-    return {ASSUMED: [f"fig4.{name}", *also], INFERRED: [f"fig4_inferred.{name}"]}
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fig4:
     """Reprojection errors at the noise of Table 2, with the gyro of Table 1."""
 
-    pixel_um: float = col("Pixel", "um", ".2f", json="")
-    stars: float = col("Stars", "per frame", ".0f", json="", key="stars_per_frame")
-    rms_px: Row = col("RMS", "px", dims="axis", json=of_case("rms_px", "fig4_rms_px"), json_error=of_case("error_px"))
-    expected_axis_px: FloatArray = col("Expected", "px", ".4f", "axis", json=of_case("expected_px"))
-    published_px: FloatArray | None = col("Published", "px", ".4f", "axis", json=of_case("published_px"), default=None)
-    length_px: Measured = col("Length", "px", json=of_case("mean_rms_length_px"))
-    expected_px: Measured = col("Expected, one run", "px", json="", json_error=of_case("scatter_of_a_run_px"))
-    published_length_px: float | None = col("Published", "px", ".4f", json="", default=None)
-    published_deviation: float | None = col(
-        "Published from expected", "sigma", "+.1f", json=of_case("published_deviation_sigma"), shown=False, default=None
-    )
-    largest_px: float = col("Largest, median", "px", ".4f", json=of_case("largest_px"), shown=False)
-    inside: float = col("Fraction below 0.04 px", "", ".3f", json=of_case("part_below_0_04_px"), shown=False)
+    pixel_um: float = col("Pixel", "um", ".2f")
+    stars: float = col("Stars", "per frame", ".0f")
+    rms_px: Row = col("RMS", "px", dims="axis")
+    expected_axis_px: FloatArray = col("Expected", "px", ".4f", "axis")
+    published_px: FloatArray | None = col("Published", "px", ".4f", "axis", default=None)
+    length_px: Measured = col("Length", "px")
+    expected_px: Measured = col("Expected, one run", "px")
+    published_length_px: float | None = col("Published", "px", ".4f", default=None)
+    published_deviation: float | None = col("Published from expected", "sigma", "+.1f", shown=False, default=None)
+    largest_px: float = col("Largest, median", "px", ".4f", shown=False)
+    inside: float = col("Fraction below 0.04 px", "", ".3f", shown=False)
 
 
 def fig4(config: Config, trials: Mapping[str, Trials], inferred: Point) -> list[Fig4]:
@@ -191,9 +183,9 @@ def fig4(config: Config, trials: Mapping[str, Trials], inferred: Point) -> list[
 class Count:
     """Mean RMS length for a number of stars in every frame."""
 
-    stars: int = col("Stars per frame", json="")
-    rms_px: Row = col("RMS reprojection error", "px", dims="count_gyro", json="")
-    expected_px: FloatArray = col("Expected", "px", ".4f", "count_gyro", json="")
+    stars: int = col("Stars per frame")
+    rms_px: Row = col("RMS reprojection error", "px", dims="count_gyro")
+    expected_px: FloatArray = col("Expected", "px", ".4f", "count_gyro")
 
 
 def counts(config: Config, trials: Mapping[str, Trials]) -> list[Count]:
@@ -215,7 +207,7 @@ def counts(config: Config, trials: Mapping[str, Trials]) -> list[Count]:
 class Overall:
     """All cells of Fig. 3 and of the star counts together."""
 
-    reprojection_ratio: Measured = col("Reprojection error over its prediction, mean of all cells", json="ratio")
+    reprojection_ratio: Measured = col("Reprojection error over its prediction, mean of all cells")
 
 
 def overall(config: Config, trials: Mapping[str, Trials]) -> Overall:
@@ -239,7 +231,7 @@ class Matching:
     pixel_um: float = col("Pixel", "um", ".2f")
     closed_form: float = col("Stars, perfect gyro", "per frame", ".0f")  # From sigma sqrt(14 / n)
     with_gyro: float = col("Stars, Table 1's gyro", "per frame", ".0f")  # Infinite where the gyro alone gives more
-    gyro_px: float = col("Error by the gyro alone", "px", ".4f", json="")
+    gyro_px: float = col("Error by the gyro alone", "px", ".4f")
     # Between these the published value lies within one standard deviation of a run; NaN if nowhere
     range: FloatArray = col("Stars within one sigma of a run", "per frame", ".0f", "end")
 
@@ -268,15 +260,13 @@ def fig3_section(record: type, part: str, gyro: str, words: str) -> Section:
     """Section of Fig. 3a or 3b."""
     return Section(
         record=record,
-        prefix=f"{part}_",
-        place=part,
         table=part,
         caption=f"ACF17 {words}: mean RMS reprojection error of the runs.",
         figures={
             f"{part}_curves": curves(
                 "noise",
-                points=f"{part}_rms_px",
-                lines=f"{part}_expected_px",
+                points="rms_px",
+                lines="expected_px",
                 by=gyro,
                 y="RMS reprojection error",
                 width="half",
@@ -292,7 +282,6 @@ REPROJECTION = {
     "fig4": Section(
         record=Fig4,
         dim="case",
-        prefix="fig4_",
         across="axis",
         columns="pixel_um stars rms_px expected_axis_px published_px",
         caption="ACF17 Fig. 4: reprojection of noise-free even frames, noise of its Table 2, gyro of its Table 1.",
@@ -304,12 +293,10 @@ REPROJECTION = {
         record=Count,
         dim="count",
         along="stars",
-        prefix="counts_",
         caption="Mean RMS reprojection error at the noise of ACF17 Table 2 against the number of stars in every frame.",
     ),
     "reprojection": Section(
         record=Overall,
-        place="reprojection",
         verdicts=[
             ratio_near(
                 "reprojection_ratio",
@@ -319,5 +306,5 @@ REPROJECTION = {
             )
         ],
     ),
-    "matching": Section(record=Matching, dim="pixel", prefix="fig4_stars_", place="inference.stars_for_fig4[pixel]"),
+    "matching": Section(record=Matching, dim="pixel"),
 }

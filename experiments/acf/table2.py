@@ -96,7 +96,7 @@ class Unknown:
     mean_error: float = col("Mean error", "", ".3g")
     std: float = col("Scatter of a run", "", ".3g")
     bound: float = col("Cramér-Rao bound", "", ".3g")
-    bound_with_gyro_error: float = col("Bound with gyro error", "", ".3g", key="bound_with_gyro")
+    bound_with_gyro_error: float = col("Bound with gyro error", "", ".3g")
     n: int = col("Runs", shown=False)
 
 
@@ -127,7 +127,7 @@ class Sums:
     """Joint effect of the inseparable coefficients."""
 
     correlation: Sequence[float] = col("Correlation", "", "+.3f", "coefficients")
-    sight_arcsec: float = col("Line of sight, RMS over the detector", "arcsec", ".1f", json="")
+    sight_arcsec: float = col("Line of sight, RMS over the detector", "arcsec", ".1f")
 
 
 def sums(config: Config, trials: Mapping[str, Trials], expected: Covariances) -> Sums:
@@ -143,11 +143,11 @@ class Implied:
     """Pixel and stars from Table 2, read as one calibration at 0.1 px."""
 
     pixel_um: Measured = col("Pixel", "um")
-    stars: float = col("Stars", "per frame", ".0f", json="stars_per_frame")
+    stars: float = col("Stars", "per frame", ".0f")
     # Where the likelihood (the pixel at its best) has fallen by 1/2
-    stars_range: FloatArray = col("Stars", "per frame", ".0f", "end", json="stars_per_frame_range")
-    chi2: float = col("χ² of 11", "", ".1f", json="chi2_of_11")
-    chi2_assumed: float = col("χ² of 11 at 10 µm", "", ".0f", json="chi2_of_11_at_assumed_pixel")
+    stars_range: FloatArray = col("Stars", "per frame", ".0f", "end")
+    chi2: float = col("χ² of 11", "", ".1f")
+    chi2_assumed: float = col("χ² of 11 at 10 µm", "", ".0f")
 
 
 def implied(points: int = 29, printed: FloatArray = PRINTED) -> Implied:
@@ -210,12 +210,10 @@ TABLE2 = {
     "table2": Section(
         record=Unknown,
         dim="unknown",
-        prefix="table2_",
-        place="table2[unknown]",
         caption="ACF17 Table 2: errors after calibration, published, measured, and the Cramér–Rao bound of one run.",
         note="Odd frames calibrate. Standard error of the mean: standard deviation of a run / √runs. "
         "The bound assumes a perfect gyro, as eq. 11 does; the last column includes the gyro's error.",
     ),
-    "sums": Section(record=Sums, prefix="table2_"),
-    "implied": Section(record=Implied, prefix="implied_", place="inference"),
+    "sums": Section(record=Sums),
+    "implied": Section(record=Implied),
 }

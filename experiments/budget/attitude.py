@@ -39,36 +39,32 @@ class Attitude:
 
     stars: int = col("Stars")  # N of the budget
     trials: int = col("Trials")  # Fields of stars per number
-    failed: int = col("Trials without an attitude", json="")
+    failed: int = col("Trials without an attitude")
     # Total / sqrt(N); for roll divided by the RMS distance of a star from the middle of the field, in radians
-    rule_arcsec: FloatArray = col("Rule", "arcsec", ".3f", "component", json="rule_arcsec_3sigma")
+    rule_arcsec: FloatArray = col("Rule", "arcsec", ".3f", "component")
     relative_uncertainty: float = col("Uncertainty")  # Of every error: a standard deviation from so many trials
     # Errors in units of what the rule makes of each trial's stars, root mean square: the shift of their mean by
     # ``total / sqrt(N)``, carried to the boresight by the roll that they leave
-    over_expected: Sequence[Measured] = col("Error / rule for the same stars", dims="component", json="over_expected")
+    over_expected: Sequence[Measured] = col("Error / rule for the same stars", dims="component")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Errors:
     """Attitude error at N of the budget, by reading of the low-frequency error."""
 
-    arcsec: FloatArray = col("Attitude error", "arcsec", ".3f", "component", key="{component}_arcsec")
-    over_rule: FloatArray = col("Error / rule", "", ".2f", "component", json="", key="{component}_ratio")
+    arcsec: FloatArray = col("Attitude error", "arcsec", ".3f", "component")
+    over_rule: FloatArray = col("Error / rule", "", ".2f", "component")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Number:
     """Attitude errors from a number of stars."""
 
-    stars: int = col("Stars", json="", key="stars")
-    arcsec: FloatArray = col(
-        "Attitude error, 3σ", "arcsec", ".4g", "reading component", json="", key="{reading}_{component}_arcsec"
-    )
-    rule_arcsec: FloatArray = col("Rule 1/√N", "arcsec", ".4g", "component", json="", key="rule_{component}_arcsec")
+    stars: int = col("Stars")
+    arcsec: FloatArray = col("Attitude error, 3σ", "arcsec", ".4g", "reading component")
+    rule_arcsec: FloatArray = col("Rule 1/√N", "arcsec", ".4g", "component")
     # Root mean variance that the estimator states for independent errors
-    stated_arcsec: FloatArray = col(
-        "Stated by the estimator", "arcsec", ".4g", "component", json="", key="stated_{component}_arcsec"
-    )
+    stated_arcsec: FloatArray = col("Stated by the estimator", "arcsec", ".4g", "component")
 
 
 def attitude_study(
@@ -127,12 +123,10 @@ def _axes(q: Quantities, _: Any) -> None:
 SECTIONS = {
     "attitude": Section(
         record=Attitude,
-        prefix="attitude_",
-        place="attitude",
         axes=_axes,
         verdicts=[
             agree(
-                "attitude_over_expected",
+                "over_expected",
                 1.0,
                 slack=FAR_FROM_THE_AXIS,
                 title="Attitude error from stars with the measured errors over total / √N for the same stars",
@@ -141,11 +135,8 @@ SECTIONS = {
     ),
     "readings": Section(
         record=Errors,
-        place="attitude",
         across="component",
         dim="reading",
-        prefix="attitude_",
-        json={"arcsec": "monte_carlo_arcsec_3sigma"},
         table="attitude",
         caption="Attitude error for the budget's number of stars, 3 sigma, from solved attitudes of "
         "simulated star fields.",
@@ -156,15 +147,14 @@ SECTIONS = {
         record=Number,
         dim="stars",
         along="stars",
-        prefix="curve_",
         rows="stars",
         across="reading component",
         caption="Attitude error against the number of stars, 3 sigma.",
         figures={
             "attitude_curves": curves(
                 "stars",
-                points="curve_arcsec",
-                lines="curve_rule_arcsec",
+                points="arcsec",
+                lines="rule_arcsec",
                 by="reading",
                 panels="component",
                 log="xy",

@@ -166,10 +166,10 @@ def measured_terms(
 class Table1:
     """An entry of ACC18's Table 1, main centroider."""
 
-    pair: str = col("Bands", "nm", json="", key="bands")
-    predicted_px: FloatArray = col("Predicted", "px", ".5f", "axis", json="predicted")
-    measured_px: Sequence[Measured] = col("Measured", "px", dims="axis", json="measured", json_error="sigma")
-    rms_px: FloatArray = col("RMS shift of a point", "px", ".4f", "axis", json="")
+    pair: str = col("Bands", "nm")
+    predicted_px: FloatArray = col("Predicted", "px", ".5f", "axis")
+    measured_px: Sequence[Measured] = col("Measured", "px", dims="axis")
+    rms_px: FloatArray = col("RMS shift of a point", "px", ".4f", "axis")
 
 
 def table1_of(predicted: ChromaticTerm, seen: ChromaticTerm) -> list[Table1]:
@@ -189,8 +189,6 @@ TABLE1 = Section(
     record=Table1,
     dim="pair",
     along="pair",
-    prefix="table1_",
-    place="parts.table1_px",
     table="chromatic",
     rows="pair axis",
     caption="Chromatic term: mean shift between filters, halved (ACC18 eq. 16), signed.",

@@ -57,17 +57,16 @@ class Setup:
     ecss: Sequence[str] = col("ECSS-E-ST-60-20C", dims="term")
     signal_e: float = col("Signal", "e-", ".0f")
     signal_star: str = col("Star")
-    lens_name: str = col("Lens", json="")
-    detector_name: str = col("Detector", json="")
-    pixel_arcsec: float = col("Angle of a pixel", "arcsec", ".3f", json="")
+    lens_name: str = col("Lens")
+    detector_name: str = col("Detector")
+    pixel_arcsec: float = col("Angle of a pixel", "arcsec", ".3f")
     between_arcsec: float | None = col(
         "Line of sight from frame to frame",
         "arcsec",
         ".3f",
-        json="collimator.line_of_sight_between_arcsec_3sigma",
         default=None,
     )
-    no_thermal: str | None = col("Reason for no thermal term", json="", default=None)
+    no_thermal: str | None = col("Reason for no thermal term", default=None)
 
 
 def setup(lab: Laboratory) -> Setup:
@@ -92,24 +91,16 @@ class Comparison:
         "Predicted",
         "arcsec",
         dims="term axis",
-        json="predicted_arcsec_3sigma",
-        json_error="predicted_uncertainty",
     )
     measured_arcsec: FloatArray | None = col(
         "Measured",
         "arcsec",
         dims="term axis",
-        json="measured_arcsec_3sigma",
-        json_error="measured_uncertainty",
         default=None,
     )
     measured_n: FloatArray | None = col("Samples", dims="term axis", default=None, shown=False)
-    ratio: FloatArray | None = col(
-        "Predicted / measured", dims="term axis", json_error="ratio_uncertainty", default=None
-    )
-    published_arcsec: FloatArray | None = col(
-        "Published", "arcsec", ".2f", "term axis", json="published_arcsec_3sigma", default=None
-    )
+    ratio: FloatArray | None = col("Predicted / measured", dims="term axis", default=None)
+    published_arcsec: FloatArray | None = col("Published", "arcsec", ".2f", "term axis", default=None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,16 +108,14 @@ class Agreement:
     """Whether prediction and frames agree, by centroider."""
 
     # LSFE-S: of the entry of Table 1 that is farthest from its prediction
-    pull: FloatArray = col("Deviation", "sigma", "+.2f", "tested axis", json="pulls[method][tested]")
+    pull: FloatArray = col("Deviation", "sigma", "+.2f", "tested axis")
     # The same for the verdict, with its standard deviation, and the predicted terms in that unit: errors of these are
     # to be noticed, not of C2, which is no property of the camera
-    deviation: Sequence[Sequence[Measured]] = col("Deviation", "sigma", dims="tested axis", json="", shown=False)
-    whole: FloatArray = col("Term", "sigma", ".3g", "tested axis", json="", shown=False)
+    deviation: Sequence[Sequence[Measured]] = col("Deviation", "sigma", dims="tested axis", shown=False)
+    whole: FloatArray = col("Term", "sigma", ".3g", "tested axis", shown=False)
     together: FloatArray = col(
         "TE, HSFE and S together, predicted over measured",
         dims="axis",
-        json="frame_terms_together[method][axis].ratio",
-        json_error="frame_terms_together[method][axis].uncertainty",
     )
 
 
@@ -180,8 +169,8 @@ def agreement(predicted: PredictedTerms, frames: Measurement) -> Agreement:
 class Tuned:
     """An instrument that is meant to have the published budget (``published_within_fraction``)."""
 
-    over_published: Sequence[Sequence[Measured]] = col("Measured over published", dims="aimed axis", json="")
-    within_fraction: float = col("Required agreement", json="")
+    over_published: Sequence[Sequence[Measured]] = col("Measured over published", dims="aimed axis")
+    within_fraction: float = col("Required agreement")
 
 
 def tuned(config: Config, frames: Measurement) -> Tuned | None:
@@ -199,11 +188,11 @@ def tuned(config: Config, frames: Measurement) -> Tuned | None:
 class Chief:
     """Predicted terms and total, 3 sigma, root mean square of x and y, for sweeps and comparisons."""
 
-    total_rms_arcsec: float = col("Total (x, y RMS)", "arcsec", ".3f", json="")
-    te_rms_arcsec: float = col("TE", "arcsec", ".3f", json="")
-    hsfe_rms_arcsec: float = col("HSFE", "arcsec", ".3f", json="")
-    chromatic_rms_arcsec: float = col("LSFE-S", "arcsec", ".3f", json="")
-    distortion_rms_arcsec: float = col("LSFE-C1", "arcsec", ".3f", json="")
+    total_rms_arcsec: float = col("Total (x, y RMS)", "arcsec", ".3f")
+    te_rms_arcsec: float = col("TE", "arcsec", ".3f")
+    hsfe_rms_arcsec: float = col("HSFE", "arcsec", ".3f")
+    chromatic_rms_arcsec: float = col("LSFE-S", "arcsec", ".3f")
+    distortion_rms_arcsec: float = col("LSFE-C1", "arcsec", ".3f")
 
 
 def chief(predicted: PredictedTerms) -> Chief:
@@ -217,33 +206,25 @@ def chief(predicted: PredictedTerms) -> Chief:
 class Cause:
     """A cause of the HSFE, predicted, 3 sigma."""
 
-    name: str = col("Cause", json="", key="cause")
-    arcsec: FloatArray = col("Part of the HSFE", "arcsec", ".3f", "axis", json="parts.hsfe_causes_predicted")
+    name: str = col("Cause")
+    arcsec: FloatArray = col("Part of the HSFE", "arcsec", ".3f", "axis")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Parts:
     """Parts of the terms by the main centroider, 3 sigma."""
 
-    bound_te_arcsec: FloatArray = col("TE: Cramér-Rao bound", "arcsec", ".3f", "axis", json="cramer_rao_te")
-    predicted_single_arcsec: FloatArray = col(
-        "HSFE of one position, predicted", "arcsec", ".3f", "axis", json="hsfe_single_position.predicted"
-    )
-    measured_single_arcsec: FloatArray = col(
-        "measured", "arcsec", ".3f", "axis", json="hsfe_single_position.measured", key="measured_single_arcsec"
-    )
-    predicted_found_arcsec: FloatArray = col("σ_d, predicted", "arcsec", ".3f", "axis", json="sigma_d.predicted")
-    measured_found_arcsec: FloatArray = col("measured", "arcsec", ".3f", "axis", json="sigma_d.measured")
-    predicted_left_arcsec: FloatArray = col("σ_Dd, predicted", "arcsec", ".3f", "axis", json="sigma_dd.predicted")
-    measured_left_arcsec: FloatArray = col("measured", "arcsec", ".3f", "axis", json="sigma_dd.measured")
+    bound_te_arcsec: FloatArray = col("TE: Cramér-Rao bound", "arcsec", ".3f", "axis")
+    predicted_single_arcsec: FloatArray = col("HSFE of one position, predicted", "arcsec", ".3f", "axis")
+    measured_single_arcsec: FloatArray = col("measured", "arcsec", ".3f", "axis")
+    predicted_found_arcsec: FloatArray = col("σ_d, predicted", "arcsec", ".3f", "axis")
+    measured_found_arcsec: FloatArray = col("measured", "arcsec", ".3f", "axis")
+    predicted_left_arcsec: FloatArray = col("σ_Dd, predicted", "arcsec", ".3f", "axis")
+    measured_left_arcsec: FloatArray = col("measured", "arcsec", ".3f", "axis")
     # C1 of a perfect camera without noise
-    marking_alone_arcsec: FloatArray = col(
-        "C1 of marking errors alone", "arcsec", ".3f", "axis", json="c1_of_marking_errors_alone"
-    )
-    one_survey_arcsec: FloatArray = col("C1, one survey", "arcsec", ".3f", "axis", json="c1_one_survey.measured")
-    survey_scatter_arcsec: FloatArray = col(
-        "Its scatter", "arcsec", ".3f", "axis", json="c1_one_survey.scatter_from_survey_to_survey"
-    )
+    marking_alone_arcsec: FloatArray = col("C1 of marking errors alone", "arcsec", ".3f", "axis")
+    one_survey_arcsec: FloatArray = col("C1, one survey", "arcsec", ".3f", "axis")
+    survey_scatter_arcsec: FloatArray = col("Its scatter", "arcsec", ".3f", "axis")
 
 
 def parts(predicted: PredictedTerms, frames: Measurement) -> Parts:
@@ -357,7 +338,6 @@ SECTIONS = {
     "setup": Section(record=Setup),
     "terms": Section(
         record=Comparison,
-        place="terms[term][axis]",
         table="budget",
         caption="The budget, 3 sigma; uncertainties are one standard deviation.",
         note="C2, measured: scatter of repeated surveys, independent of frames. Attitude, measured: "
@@ -377,9 +357,6 @@ SECTIONS = {
     "methods": Section(
         record=Comparison,
         dim="method",
-        prefix="method_",
-        place="methods[method][term][axis]",
-        json={"measured_n": ""},
         rows="term axis",
         across="method",
         columns="measured_arcsec",
@@ -406,13 +383,12 @@ SECTIONS = {
         record=Cause,
         dim="cause",
         along="name",
-        prefix="cause_",
         rows="cause",
         across="axis",
         caption="Predicted HSFE by cause, 3 sigma.",
-        figures={"cause_bars": bars("cause", bars="cause_arcsec", by="axis", width="half", aspect_ratio=0.75)},
+        figures={"cause_bars": bars("cause", bars="arcsec", by="axis", width="half", aspect_ratio=0.75)},
     ),
-    "parts": Section(record=Parts, place="parts", rows="axis", caption="Parts of the terms, 3 sigma."),
+    "parts": Section(record=Parts, rows="axis", caption="Parts of the terms, 3 sigma."),
     "chromatic": TABLE1,
     "collimator": COLLIMATOR,
     **attitude.SECTIONS,

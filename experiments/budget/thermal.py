@@ -46,29 +46,21 @@ class Thermal:
     """LSFE-T, 3 sigma, and its contributions."""
 
     calibrated_at_c: float = col("Calibrated at", "degC", "g")
-    stars: int = col("Stars of the thermal test", json="")
-    signal_e: float = col("Signal of the thermal test", "e-", ".0f", json="")
-    predicted_arcsec: FloatArray = col("LSFE-T, predicted", "arcsec", ".3f", "axis", json="predicted_arcsec_3sigma")
-    measured_arcsec: Sequence[Measured] = col(
-        "LSFE-T, measured", "arcsec", dims="axis", json="measured_arcsec_3sigma", json_error="measured_uncertainty"
-    )
-    total_predicted_arcsec: FloatArray | None = col(
-        "Total with it, predicted", "arcsec", ".3f", "axis", json="total_predicted_arcsec_3sigma", default=None
-    )
-    total_measured_arcsec: FloatArray | None = col(
-        "Total with it, measured", "arcsec", ".3f", "axis", json="total_measured_arcsec_3sigma", default=None
-    )
-    scale_ppm_per_k: FloatArray = col("Scale, traced", "1e-6/K", ".2f", "axis", json="scale_ppm_per_k.predicted")
+    stars: int = col("Stars of the thermal test")
+    signal_e: float = col("Signal of the thermal test", "e-", ".0f")
+    predicted_arcsec: FloatArray = col("LSFE-T, predicted", "arcsec", ".3f", "axis")
+    measured_arcsec: Sequence[Measured] = col("LSFE-T, measured", "arcsec", dims="axis")
+    total_predicted_arcsec: FloatArray | None = col("Total with it, predicted", "arcsec", ".3f", "axis", default=None)
+    total_measured_arcsec: FloatArray | None = col("Total with it, measured", "arcsec", ".3f", "axis", default=None)
+    scale_ppm_per_k: FloatArray = col("Scale, traced", "1e-6/K", ".2f", "axis")
     measured_scale_ppm_per_k: Sequence[Measured] = col(
         "Scale, measured",
         "1e-6/K",
         dims="axis",
-        json="scale_ppm_per_k.measured",
-        json_error="scale_ppm_per_k.sigma",
     )
-    paraxial_ppm_per_k: float = col("Scale, paraxial", "1e-6/K", ".2f", json="scale_ppm_per_k.paraxial")
+    paraxial_ppm_per_k: float = col("Scale, paraxial", "1e-6/K", ".2f")
     focus_um_per_k: float = col("Focus behind the detector", "um/K", "+.2f")
-    corner_px_per_k: float = col("Outermost star", "px/K", ".3f", json="outermost_star_px_per_k")
+    corner_px_per_k: float = col("Outermost star", "px/K", ".3f")
 
 
 def chamber(lab: Laboratory, temperature_c: float) -> Laboratory:
@@ -150,8 +142,6 @@ def _images(
 
 THERMAL = Section(
     record=Thermal,
-    prefix="thermal_",
-    place="thermal",
     table="thermal",
     rows="axis",
     columns="predicted_arcsec measured_arcsec total_predicted_arcsec total_measured_arcsec scale_ppm_per_k "
@@ -159,8 +149,8 @@ THERMAL = Section(
     caption="LSFE-T, the total (eq. 32) including it, and the scale change of the image; 3 sigma.",
     verdicts=[
         agree(
-            "thermal_measured_scale_ppm_per_k",
-            with_="thermal_scale_ppm_per_k",
+            "measured_scale_ppm_per_k",
+            with_="scale_ppm_per_k",
             title="LSFE-T: growth of the image with temperature, frames against ray trace",
         )
     ],

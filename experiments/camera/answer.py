@@ -53,7 +53,7 @@ class ThermalRange:
     focus_shift_um: float = col("Change of the best focus over temperature", "um", ".1f", default=math.nan)
     spot_thermal_px: float = col("Spot radius (RMS), largest over temperature", "px", ".3f", default=math.nan)
     scale_change_ppm: float = col("Change of the plate scale over temperature", "ppm", ".1f", default=math.nan)
-    refusal: str = col("Reason for no answer", json="", default="")
+    refusal: str = col("Reason for no answer", default="")
 
 
 def temperatures(config: Config) -> tuple[Temperatures | None, ThermalRange]:
@@ -99,10 +99,10 @@ def temperatures(config: Config) -> tuple[Temperatures | None, ThermalRange]:
 class Swing:
     """One key moved down and up, the others unchanged: relative changes, for magnitudes the difference."""
 
-    key: str = col("Key", json="")
-    low: float = col("From", format=".3g", json="", shown=False)
-    high: float = col("To", format=".3g", json="", shown=False)
-    unit: str = col("Unit", json="", shown=False)
+    key: str = col("Key")
+    low: float = col("From", format=".3g", shown=False)
+    high: float = col("To", format=".3g", shown=False)
+    unit: str = col("Unit", shown=False)
     swing_attitude_cross_arcsec: Sequence[float] = col("Change of attitude error", format="+.3f", dims="end")
     swing_single_star_arcsec: Sequence[float] = col("Single star", format="+.3f", dims="end", shown=False)
     swing_limiting_magnitude_mag: Sequence[float] = col("Limiting magnitude", "mag", "+.2f", "end")

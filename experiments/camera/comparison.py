@@ -76,15 +76,15 @@ class Compared:
     """One quantity, measured in frames and predicted for the same stars and attitudes."""
 
     comparison: str = col("Quantity")
-    label: str = col("Quantity", json="")
+    label: str = col("Quantity")
     measured: float = col("Measured", format=".4g")
     predicted: float = col("Predicted", format=".4g")
-    unit: str = col("Unit", json="")
+    unit: str = col("Unit")
     error: float = col("Standard deviation", format=".2g")
-    n: int = col("Samples", json="")
-    pull: Measured = col("Difference", "sigma", ".1f", json="")
+    n: int = col("Samples")
+    pull: Measured = col("Difference", "sigma", ".1f")
     # In standard deviations what an error of the whole would be
-    whole: float = col("Predicted over its standard deviation", "sigma", json="", shown=False)
+    whole: float = col("Predicted over its standard deviation", "sigma", shown=False)
 
 
 def compared(comparison: str, label: str, unit: str, found: MeasuredAgainst, scale: float = 1.0) -> Compared:
@@ -110,7 +110,7 @@ def compared(comparison: str, label: str, unit: str, found: MeasuredAgainst, sca
 class Solved:
     """Frames of the sky, and their attitudes."""
 
-    chart_stars: int = col("Chart stars", json="")
+    chart_stars: int = col("Chart stars")
     frames_unsolved: int = col(f"Frames with {FEWEST_STARS} stars or more that are not solved")
     # None where no frame was solved
     attitude_ratio: Measured | None = col("Attitude errors over predicted ones, RMS of three axes", default=None)
@@ -250,8 +250,6 @@ FRAMES = Section(
     record=Compared,
     dim="comparison",
     axes=_comparisons,
-    prefix="compared_",
-    place="frames[comparison]",
     table="frames",
     hidden="comparison",
     rows="comparison",
@@ -260,11 +258,11 @@ FRAMES = Section(
     note="Standard deviation: predicted, of measured minus predicted. Difference: in units of this standard deviation.",
     verdicts=[
         agree(
-            "compared_pull",
+            "pull",
             0.0,
             at={"comparison": key},
             title=title,
-            of="compared_whole",
+            of="whole",
             advice=ADVICE.get(key, ""),
         )
         for key, title in JUDGED.items()

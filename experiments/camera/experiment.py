@@ -38,10 +38,10 @@ CURVE_POINTS = 91
 class Setup:
     """Description of the sensor, and warnings."""
 
-    name: str = col("Sensor", json="")
-    lens: str = col("Lens", json="")
-    detector: str = col("Detector", json="")
-    answer: str = col("Requirements in a sentence", json="")
+    name: str = col("Sensor")
+    lens: str = col("Lens")
+    detector: str = col("Detector")
+    answer: str = col("Requirements in a sentence")
     requirements_missed: int = col("Requirements that are missed")
     prediction: CameraPrediction
 
@@ -120,9 +120,9 @@ def fields(prediction: CameraPrediction) -> Fields:
 
 def field_axes(q: Quantities, found: Fields) -> None:
     """Field angles and wavelengths of the trace."""
-    q.axis("field", found.performance.field_deg, "Field", unit="deg", format=".2f", key="field_deg")
+    q.axis("field", found.performance.field_deg, "Field", unit="deg", format=".2f")
     waves = found.performance.wavelength_nm
-    q.axis("wavelength", waves, "Wavelength", unit="nm", format=".0f", key="wavelength_nm")
+    q.axis("wavelength", waves, "Wavelength", unit="nm", format=".0f")
 
 
 # --- Against magnitude
@@ -170,8 +170,8 @@ def magnitudes(prediction: CameraPrediction) -> Magnitudes:
 
 def magnitude_axes(q: Quantities, found: Magnitudes) -> None:
     """Magnitudes and colours of the curves."""
-    q.axis("magnitude", found.magnitude_mag, "Magnitude", unit="mag", format=".2f", key="magnitude_mag")
-    q.axis("colour", np.array(found.colours_k), "Star", unit="K", format=".0f", key="temperature_k")
+    q.axis("magnitude", found.magnitude_mag, "Magnitude", unit="mag", format=".2f")
+    q.axis("colour", np.array(found.colours_k), "Star", unit="K", format=".0f")
 
 
 # --- Over the sky
@@ -182,9 +182,9 @@ class Attitudes:
     """Every attitude that was looked up."""
 
     attitudes: int = col("Attitudes")
-    sky_stars: FloatArray = col("Stars per frame", dims="attitude", json="")
-    sky_cross_arcsec: FloatArray = col("Attitude across, 1σ", "arcsec", dims="attitude", json="")
-    sky_roll_arcsec: FloatArray = col("Attitude roll, 1σ", "arcsec", dims="attitude", json="")
+    sky_stars: FloatArray = col("Stars per frame", dims="attitude")
+    sky_cross_arcsec: FloatArray = col("Attitude across, 1σ", "arcsec", dims="attitude")
+    sky_roll_arcsec: FloatArray = col("Attitude roll, 1σ", "arcsec", dims="attitude")
 
 
 def attitudes(prediction: CameraPrediction) -> Attitudes:
@@ -224,7 +224,7 @@ def draw_sky(outcome: Outcome) -> Figure:
 
 def temperature_axis(q: Quantities, found: Temperatures) -> None:
     """Temperatures of lens and housing."""
-    q.axis("temperature", found.temperature_c, "Temperature", unit="°C", format=".0f", key="temperature_c")
+    q.axis("temperature", found.temperature_c, "Temperature", unit="°C", format=".0f")
 
 
 def swing_axes(q: Quantities, found: Sequence[Swing]) -> None:

@@ -73,7 +73,7 @@ def coverage(prediction: CameraPrediction) -> Coverage:
 
 def _least(q: Quantities, found: Coverage) -> None:
     del found
-    q.axis("least", np.array(LEAST), "Guide stars, at least", key="least")
+    q.axis("least", np.array(LEAST), "Guide stars, at least")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,10 +82,10 @@ class LostInSpace:
 
     lost_attitudes: int = col("Attitudes identified lost in space")
     lost_success_percent: float = col("Lost in space: identified", "percent", ".1f", default=math.nan)
-    lost_success: Measured | None = col("Fraction of attitudes identified", json="", default=None)
+    lost_success: Measured | None = col("Fraction of attitudes identified", default=None)
     lost_wrong_percent: float = col("Lost in space: wrongly identified", "percent", ".2f", default=math.nan)
     lost_time_s: float = col("Identification on this machine, median", "s", ".2g", default=math.nan)
-    lost_refusal: str = col("Reason for no identification", json="", default="")
+    lost_refusal: str = col("Reason for no identification", default="")
 
 
 def lost_in_space(prediction: CameraPrediction, *, advance: Callable[[], None] = lambda: None) -> LostInSpace | None:

@@ -232,9 +232,9 @@ def _at_detector(lens: LensSystem, images: PolychromaticSpots) -> LensSystem:
 
 
 def _axes(q: Quantities, found: Manufactured) -> None:
-    q.axis("built", list(SHOWN), "Error", key="error", names=list(SHOWN.values()))
+    q.axis("built", list(SHOWN), "Error", names=list(SHOWN.values()))
     q.axis("percentile", [str(p) for p in PERCENT], "Share of the lenses", names=[f"{p} %" for p in PERCENT])
-    q.axis("offender", np.array(found.offenders, dtype=object), "Tolerance, one standard deviation", key="tolerance")
+    q.axis("offender", np.array(found.offenders, dtype=object), "Tolerance, one standard deviation")
 
 
 MANUFACTURED = Section(
@@ -250,8 +250,6 @@ MANUFACTURED = Section(
 RENDERED_LENSES = Section(
     record=RenderedLens,
     dim="drawn",
-    prefix="rendered_",
-    place="rendered_lenses[drawn]",
     table="rendered_lenses",
     rows="drawn",
     hidden="drawn",

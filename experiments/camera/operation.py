@@ -106,8 +106,8 @@ class Motion:
     motion_stars_mean_per_frame: FloatArray = col("Stars per frame", "", ".1f", "rate")
     motion_attitude_cross_arcsec: FloatArray = col("Attitude across, median", "arcsec", ".3f", "rate")
     motion_attitude_roll_arcsec: FloatArray = col("Attitude roll, median", "arcsec", ".3f", "rate", shown=False)
-    slew_rate_deg_per_s: float = col("Largest slew rate", "deg/s", ".3g", key="largest_slew_rate_deg_per_s")
-    slew_fails: str = col("First failure in motion", json="slew_fails_first")
+    slew_rate_deg_per_s: float = col("Largest slew rate", "deg/s", ".3g")
+    slew_fails: str = col("First failure in motion")
     acceleration_deg_per_s2: float = col("Largest angular acceleration while tracking", "deg/s2", ".3g")
     acceleration_bias_s2: float = col("Attitude error across per angular acceleration", "s2", ".3g")
     rate_deg_per_s: FloatArray
@@ -152,7 +152,7 @@ def in_motion(prediction: CameraPrediction, limits: Limits) -> Motion | None:
 
 
 def _rates(q: Quantities, found: Motion) -> None:
-    q.axis("rate", found.rate_deg_per_s, "Slew rate", unit="deg/s", format=".3g", key=RATE)
+    q.axis("rate", found.rate_deg_per_s, "Slew rate", unit="deg/s", format=".3g")
 
 
 MOTION = Section(
@@ -194,7 +194,7 @@ class Life:
     life_missed: int = col("Requirements missed at the end of life")
     life_of: int = col("Requirements compared at the end of life")
     life_lasts_years: float = col("Age up to which all requirements are met", "yr", ".3g")
-    life_fails: str = col("First failure with age", json="life_fails_first")
+    life_fails: str = col("First failure with age")
     age_years: FloatArray
 
 
@@ -243,7 +243,7 @@ def life_line(found: Life) -> str:
 
 
 def _ages(q: Quantities, found: Life) -> None:
-    q.axis("age", found.age_years, "Age", unit="yr", format=".2f", key="age_years")
+    q.axis("age", found.age_years, "Age", unit="yr", format=".2f")
 
 
 LIFE = Section(

@@ -85,11 +85,6 @@ class Lens:
         return self.shift_px(self.frames.mean_px[self.method]), np.stack(list(sigma.values()))
 
 
-def both(place: str, moved: str = "measured.") -> Mapping[str, str]:
-    """Where ``summary.json`` has a number of the centred lens, and of the one with the moved element."""
-    return {"centred": place, "moved": f"decentre_solution.{moved}{place}"}
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Entries:
     """ACC18's Table 1 (eq. 16: signed mean of the shifts, halved) of one lens."""
@@ -99,36 +94,22 @@ class Entries:
         "Frames",
         "px",
         dims="pair axis",
-        json=both("table1_px"),
-        json_error=both("table1_sigma_px"),
-        key="measured_px",
     )
-    predicted_table1_px: FloatArray = col(
-        "Ray trace", "px", ".5f", "pair axis", json=both("predicted_table1_px"), key="ray_trace_px"
-    )
+    predicted_table1_px: FloatArray = col("Ray trace", "px", ".5f", "pair axis")
     # First moments of the noiseless pixels; their standard deviation is the scatter of the points by pixel phase
     pixels_table1_px: Any = col(
         "Noiseless pixels",
         "px",
         dims="pair axis",
-        json=both("noiseless_pixels_table1_px"),
-        json_error=both("noiseless_pixels_table1_sigma_px"),
-        key="noiseless_pixels_px",
         shown=False,
     )
-    published_px: FloatArray | None = col("Published", "px", ".4f", "pair axis", json="", default=None)
-    rms_shift_px: FloatArray = col("RMS shift of a point", "px", ".3f", "pair axis", json=both("rms_shift_px"))
-    table1_n: int = col("Frames per entry", json=both("table1_n"), shown=False)
-    lsfe_arcsec: Any = col(
-        "Chromatic LSFE, 3 σ", "arcsec", dims="axis", json=both("lsfe_s_arcsec_3sigma", moved=""), shown=False
-    )
-    published_lsfe_arcsec: Sequence[float] | None = col(
-        "Published", "arcsec", dims="axis", json="", shown=False, default=None
-    )
+    published_px: FloatArray | None = col("Published", "px", ".4f", "pair axis", default=None)
+    rms_shift_px: FloatArray = col("RMS shift of a point", "px", ".3f", "pair axis")
+    table1_n: int = col("Frames per entry", shown=False)
+    lsfe_arcsec: Any = col("Chromatic LSFE, 3 σ", "arcsec", dims="axis", shown=False)
+    published_lsfe_arcsec: Sequence[float] | None = col("Published", "arcsec", dims="axis", shown=False, default=None)
     mean_squared_pull: Any = col(
         "Squared deviation of a shift over its variance",
-        json=both("mean_squared_pull"),
-        json_error=both("mean_squared_pull_sigma"),
         shown=False,
     )
 
@@ -206,12 +187,10 @@ def detector_frame(panel: Any, instrument: Instrument) -> None:
 class Points:
     """Shift of every target point (eq. 15), position after position."""
 
-    nominal_px: FloatArray = col("Nominal", "px", dims="point axis", json="", key="nominal_{axis}_px")
-    measured_shift_px: Any = col("Frames", "px", dims="pair point axis", json="", key="measured_{axis}_px")
-    pixels_shift_px: FloatArray = col(
-        "Noiseless pixels", "px", dims="pair point axis", json="", key="noiseless_pixels_{axis}_px"
-    )
-    predicted_shift_px: FloatArray = col("Ray trace", "px", dims="pair point axis", json="", key="predicted_{axis}_px")
+    nominal_px: FloatArray = col("Nominal", "px", dims="point axis")
+    measured_shift_px: Any = col("Frames", "px", dims="pair point axis")
+    pixels_shift_px: FloatArray = col("Noiseless pixels", "px", dims="pair point axis")
+    predicted_shift_px: FloatArray = col("Ray trace", "px", dims="pair point axis")
 
 
 def points(lens: Lens) -> Points:
@@ -231,16 +210,12 @@ def points(lens: Lens) -> Points:
 class Calibration:
     """RMS length of the shift of a point, as found and when the camera model has parameters of its own for a band."""
 
-    residual_px: FloatArray = col(
-        "RMS", "px", ".3f", "pair step", json=both("residual_after_calibration_px"), key="{step}_px"
-    )
+    residual_px: FloatArray = col("RMS", "px", ".3f", "pair step")
     traced_residual_px: FloatArray = col(
         "Ray trace",
         "px",
         ".3f",
         "pair step",
-        json=both("ray_trace_residual_after_calibration_px"),
-        key="{step}_ray_trace_px",
         shown=False,
     )
 
@@ -259,14 +234,10 @@ def calibration(lens: Lens) -> Calibration:
 class Centroiders:
     """Results of every centroider on the same frames; NaN where it does not converge for some point."""
 
-    noise_px: FloatArray = col("Noise", "px", ".4f", "method", json="")
-    error_px: FloatArray = col("RMS error", "px", ".4f", "method", json="", key="rms_bias_px")
-    along_px: FloatArray = col(
-        "Mean shift", "px", ".4f", "method pair", json="", key="{pair}_px"
-    )  # Along the wanted axis
-    table1_px: FloatArray = col(
-        "Table 1", "px", ".4f", "method pair axis", json=both("method_table1_px", moved=""), shown=False
-    )
+    noise_px: FloatArray = col("Noise", "px", ".4f", "method")
+    error_px: FloatArray = col("RMS error", "px", ".4f", "method")
+    along_px: FloatArray = col("Mean shift", "px", ".4f", "method pair")  # Along the wanted axis
+    table1_px: FloatArray = col("Table 1", "px", ".4f", "method pair axis", shown=False)
 
 
 def centroiders(lens: Lens, axis: int) -> Centroiders:
@@ -289,18 +260,18 @@ class BenchRecord:
     frame: Frame  # Whole detector, first position, reference filter
     signal_e: float = col("Signal", "e-", ".0f")
     signal_star: str = col("Star")
-    star_e: float = col("Star of V = 7.5", "e-", ".0f", json="signal_of_v7_5_star_e")
+    star_e: float = col("Star of V = 7.5", "e-", ".0f")
     pixel_arcsec: float = col("Angle of a pixel", "arcsec", ".2f")
     rms_spot_um: FloatArray = col("RMS spot radius", "um", ".1f", "band")
-    reference_k: float = col("Reference star", "K", ".0f", json="stellar.reference_k")
-    temperature_k: FloatArray = col("Temperature", "K", ".0f", "temperature", json="stellar.temperature_k")
+    reference_k: float = col("Reference star", "K", ".0f")
+    temperature_k: FloatArray = col("Temperature", "K", ".0f", "temperature")
 
 
 def axes(config: Config) -> Quantities:
     """Dimensions that all sections share."""
     q, wheel = Quantities(), config.filters
     pairs = band_pairs(wheel.centres_nm, wheel.centres_nm.index(wheel.reference_nm))
-    q.axis("pair", [name for name, _, _ in pairs], "Bands", unit="nm", key="bands")
+    q.axis("pair", [name for name, _, _ in pairs], "Bands", unit="nm")
     q.axis("axis", ["x", "y"], "Axis", names=["X", "Y"])
     labels = MethodLabels(own="PSF of each filter", reference="PSF of the reference filter")
     q.axis("method", list(config.methods), "Centroider", names=labels)
@@ -492,7 +463,6 @@ SECTIONS = {
     "centroiders": Section(
         record=Centroiders,
         dim="lens",
-        prefix="method_",
         rows="lens method",
         across="pair",
         caption="Results of every centroider for the same frames; ACC18 Table 1 along the axis of the movement.",

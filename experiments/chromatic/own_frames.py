@@ -26,9 +26,9 @@ from optics.errors import ConfigError
 class Pair:
     """Difference between two filters, first centroider."""
 
-    pair_name: str = col("Pair", json="", key="pair")
-    table1_px: Sequence[Measured] = col("Mean shift, halved", "px", dims="axis", json="table1_px[pair][axis]")
-    shift_arcsec: FloatArray = col("Shift", "arcsec", ".3f", "point axis", json="", shown=False)
+    pair_name: str = col("Pair")
+    table1_px: Sequence[Measured] = col("Mean shift, halved", "px", dims="axis")
+    shift_arcsec: FloatArray = col("Shift", "arcsec", ".3f", "point axis", shown=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,7 +45,7 @@ class Constant:
     constant_px: Sequence[Measured] = col("Uniform part", "px", dims="axis")
     lens_px: Sequence[Measured] = col("by the lens", "px", dims="axis")
     wedge_px: Sequence[Measured] = col("by the filters", "px", dims="axis")
-    told_text: str = col("Separated", json="told_apart[pair]")
+    told_text: str = col("Separated")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +53,7 @@ class Exchange:
     """Exchanged files of filters."""
 
     said: Sequence[str]  # In words
-    exchanged: int = col("Exchanged filters", json="")
+    exchanged: int = col("Exchanged filters")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,10 +68,8 @@ class Points:
     """Points of all places, first centroider."""
 
     filters_nm: Sequence[float] = col("Filters", "nm", dims="filter", shown=False)
-    place_px: FloatArray = col("Place", "px", ".4f", "point axis", json="", key="{axis}_px")
-    shift_px: Sequence[Sequence[Sequence[Measured]]] = col(
-        "Shift", "px", ".4f", "pair point axis", json="", key="shift_{axis}_px"
-    )
+    place_px: FloatArray = col("Place", "px", ".4f", "point axis")
+    shift_px: Sequence[Sequence[Sequence[Measured]]] = col("Shift", "px", ".4f", "pair point axis")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

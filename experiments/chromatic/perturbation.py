@@ -35,11 +35,9 @@ class Solution:
     """The movement of one element that gives the wanted entry of Table 1; NaN where none up to the limit does."""
 
     element: str = col("Element")
-    movement: str = col("Movement", json="")
-    along_px: FloatArray = col(
-        "Mean shift", "px", ".4f", "pair", json="", key="mean_{pair}_px"
-    )  # Along the wanted axis
-    image_px: float = col("Image shift", "px", "+.0f", json="", key="boresight_px")
+    movement: str = col("Movement")
+    along_px: FloatArray = col("Mean shift", "px", ".4f", "pair")  # Along the wanted axis
+    image_px: float = col("Image shift", "px", "+.0f")
     kind: str = col("Kind", shown=False)
     amount: float = col("Amount", shown=False)
     unit: str = col("Unit", shown=False)
@@ -59,8 +57,6 @@ class Solution:
 ELEMENTS = Section(
     record=Solution,
     dim="solution",
-    prefix="solution_",
-    place="decentre_solution.all_elements[solution]",
     table="elements",
     hidden="solution",
     across="pair",
@@ -81,11 +77,11 @@ class Movement:
     amount: float = col("Amount")
     unit: str = col("Unit")
     wanted_px: float = col("Wanted entry of Table 1", "px", "g")
-    image_px: float = col("Image shift", "px", ".0f", json="")
-    image_arcsec: float = col("Image shift", "arcsec", ".0f", json="")
+    image_px: float = col("Image shift", "px", ".0f")
+    image_arcsec: float = col("Image shift", "arcsec", ".0f")
 
 
-MOVEMENT = Section(record=Movement, prefix="moved_", place="decentre_solution")
+MOVEMENT = Section(record=Movement)
 
 
 def solve(

@@ -59,28 +59,22 @@ def of_lenses(centred: str, moved: str = "") -> Mapping[str, str]:
 class Stars:
     """Stars through one lens against the reference star, and ACC18's rule of one third."""
 
-    rms_px: FloatArray = col(
-        "RMS over the field", "px", ".4f", "temperature", json=of_lenses("rms_shift_px", "rms_shift_px")
-    )
-    mean_size_px: FloatArray = col("Mean over the field", "px", ".4f", "temperature", json="")
-    max_px: FloatArray = col("Largest in the field", "px", ".4f", "temperature", json=of_lenses("max_shift_px"))
-    mean_px: FloatArray = col(
-        "Mean shift", "px", ".4f", "temperature component", json={"moved": "stellar.moved_element.mean_shift_px"}
-    )
+    rms_px: FloatArray = col("RMS over the field", "px", ".4f", "temperature")
+    mean_size_px: FloatArray = col("Mean over the field", "px", ".4f", "temperature")
+    max_px: FloatArray = col("Largest in the field", "px", ".4f", "temperature")
+    mean_px: FloatArray = col("Mean shift", "px", ".4f", "temperature component")
     most_different_px: float = col(
         "RMS distance of the two most different stars",
         "px",
         ".4f",
-        json=of_lenses("most_different_rms_px", "most_different_rms_px"),
         shown=False,
     )
     # Half of the shift between filters at the same places, RMS over the field, of the pair that differs most
-    half_px: float = col("Half the RMS shift between filters", "px", ".4f", json="", shown=False)
+    half_px: float = col("Half the RMS shift between filters", "px", ".4f", shown=False)
     third_px: float = col(
         "One third rule",
         "px",
         ".3f",
-        json=of_lenses("one_third_rule_px.one_third_of_half_the_RMS_filter_shift"),
         shown=False,
     )
 
@@ -103,7 +97,6 @@ def stars_of(shift_px: FloatArray, filter_shift_px: Mapping[str, FloatArray]) ->
 STARS = Section(
     record=Stars,
     dim="lens",
-    prefix="star_",
     table="stars",
     rows="lens temperature",
     columns="rms_px mean_size_px max_px",
@@ -111,9 +104,9 @@ STARS = Section(
     figures={
         "star_shifts": curves(
             "temperature",
-            lines="star_rms_px star_mean_size_px star_max_px",
+            lines="rms_px mean_size_px max_px",
             panels="lens",
-            dashes="star_third_px",
+            dashes="third_px",
             log="x",
             y="Shift against the reference star",
             aspect_ratio=0.42,

@@ -86,20 +86,20 @@ class BudgetRow:
     """One line of the budget: error of R_sp, 1 sigma per axis of the cube frame."""
 
     term: str = col("Name", shown=False)
-    meaning: str = col("Term", shown=False, key="label")
+    meaning: str = col("Term", shown=False)
     published_arcsec: float = col("CUBE09", "arcsec", ".2f")  # NaN where there is none
     # With the noise of pictures and sun sensor, which no case is without; how far it may be off
-    predicted: Sequence[Measured] = col("Predicted", "arcsec", ".2f", "axis", key="predicted_{axis}_arcsec")
+    predicted: Sequence[Measured] = col("Predicted", "arcsec", ".2f", "axis")
     # What geometry predicts for the term by itself
     predicted_term_alone: Sequence[Measured] = col("alone", "arcsec", ".2f", "axis", shown=False)
-    measured: Sequence[Measured] = col("Measured", "arcsec", dims="axis", key="measured_{axis}_arcsec")
+    measured: Sequence[Measured] = col("Measured", "arcsec", dims="axis")
     # Axes on which the term is at least a third of the prediction
     acts_on: NDArray[np.bool_] = col("Acts on", dims="axis", shown=False)
     # Root sums of squares over the axes on which the term acts
-    predicted_over_measured: Measured = col("Ratio", format=".3f", json_error="predicted_over_measured_sigma")
+    predicted_over_measured: Measured = col("Ratio", format=".3f")
     # Widened by three standard deviations where benches are few
-    claimed_arcsec: float = col("Claim plus sampling error of the benches", "arcsec", json="", shown=False)
-    claim_arcsec: float = col("Claimed", "arcsec", json="", shown=False)
+    claimed_arcsec: float = col("Claim plus sampling error of the benches", "arcsec", shown=False)
+    claim_arcsec: float = col("Claimed", "arcsec", shown=False)
 
 
 def play_trim(config: Config, tilt_per_px: float, noise_px: float, streams: Streams) -> FloatArray:
@@ -266,21 +266,19 @@ def eq14_arcsec(laboratory: Laboratory) -> float:
 
 
 def _axes(q: Quantities, rows: Sequence[BudgetRow]) -> None:
-    q.axis("row", np.arange(len(rows)) + 1, "Term", key="term", names=[row.meaning for row in rows])
+    q.axis("row", np.arange(len(rows)) + 1, "Term", names=[row.meaning for row in rows])
 
 
 def _claim(name: str, title: str) -> Any:
     at = {"row": [case.name for case in CASES].index(name)}
     advice = "see the budget for the largest term"
-    whole = "budget_claim_arcsec"
-    return below("budget_measured", "budget_claimed_arcsec", at=at, whole=whole, title=title, advice=advice)
+    whole = "budget.claim_arcsec"
+    return below("budget.measured", "budget.claimed_arcsec", at=at, whole=whole, title=title, advice=advice)
 
 
 BUDGET = Section(
     record=BudgetRow,
     dim="row",
-    prefix="budget_",
-    place="budget[row]",
     axes=_axes,
     table="budget",
     rows="row",
@@ -291,16 +289,16 @@ BUDGET = Section(
     figures={
         "budget_bars": bars(
             "row",
-            bars="budget_measured",
-            points="budget_predicted",
-            marks="budget_published_arcsec",
+            bars="measured",
+            points="predicted",
+            marks="published_arcsec",
             panels="axis",
             aspect_ratio=0.42,
         )
     },
     verdicts=[
         agree(
-            "budget_predicted_over_measured",
+            "predicted_over_measured",
             1.0,
             slack=0.15,
             title="error of R_sp term by term, predicted over measured",

@@ -49,19 +49,17 @@ class Setup:
     """Sizes, equations 13 and 14, and errors by geometry that eq. 14 leaves out."""
 
     r_sp_error_arcsec_1sigma: Sequence[Measured] = col("R_sp, as performed", "arcsec", dims="axis")
-    improved_arcsec: Sequence[Measured] = col("R_sp, improved reduction", "arcsec", dims="axis", json="")
+    improved_arcsec: Sequence[Measured] = col("R_sp, improved reduction", "arcsec", dims="axis")
     eq13_arcsec: float = col("Eq. 13", "arcsec", ".2f")
     eq14_arcsec: float = col("Eq. 14", "arcsec", ".2f")
     benches: int = col("Benches")
     settings_per_face: float = col("Settings per face", format=".1f")
-    pitch_um: float = col("Pixel on the screen", "um", "g", json="")
-    spot_mm: float = col("Width of the spot", "mm", ".2f", json="")
-    rim_mm: float = col("Rim of the spot", "mm", ".2f", json="")
-    lean_rate: FloatArray = col(
-        "Error of R_sp per squareness", dims="component", json="error_per_arcsec.axes_out_of_square"
-    )
-    beam_x_rate: FloatArray = col("Error of R_sp per beam in x", dims="component", json="error_per_arcsec.beam_x")
-    beam_y_rate: FloatArray = col("Error of R_sp per beam in y", dims="component", json="error_per_arcsec.beam_y")
+    pitch_um: float = col("Pixel on the screen", "um", "g")
+    spot_mm: float = col("Width of the spot", "mm", ".2f")
+    rim_mm: float = col("Rim of the spot", "mm", ".2f")
+    lean_rate: FloatArray = col("Error of R_sp per squareness", dims="component")
+    beam_x_rate: FloatArray = col("Error of R_sp per beam in x", dims="component")
+    beam_y_rate: FloatArray = col("Error of R_sp per beam in y", dims="component")
 
 
 def setup(laboratory: Laboratory, cases: Mapping[str, CaseResult], rows: Sequence[BudgetRow]) -> Setup:
@@ -88,11 +86,11 @@ def setup(laboratory: Laboratory, cases: Mapping[str, CaseResult], rows: Sequenc
 class Benches:
     """Error of R_sp, bench by bench, in one case."""
 
-    name: str = col("Case", json="", key="case")
+    name: str = col("Case")
     mean_error_arcsec: Sequence[Measured] = col("Mean error of R_sp", "arcsec", dims="axis", shown=False)
-    error_arcsec: FloatArray = col("Error", "arcsec", dims="bench axis", json="", key="error_{axis}_arcsec")
-    settings_first: Sequence[int] = col("Settings, first face", dims="bench", json="")
-    settings_second: Sequence[int] = col("Settings, second face", dims="bench", json="")
+    error_arcsec: FloatArray = col("Error", "arcsec", dims="bench axis")
+    settings_first: Sequence[int] = col("Settings, first face", dims="bench")
+    settings_second: Sequence[int] = col("Settings, second face", dims="bench")
 
 
 def every_bench(case: CaseResult) -> Benches:
@@ -115,14 +113,14 @@ class Noise:
     r_sr_mean_error_arcsec: Sequence[Measured] = col("Mean error of R_sr", "arcsec", dims="axis")
     r_sr_error_over_stated: FloatArray = col("Error of R_sr over the stated one", dims="axis")
     r_sr_error_over_predicted: Measured = col("Error of R_sr over predicted, RMS")
-    spots_predicted_px: float = col("Scatter of the spots, predicted", "px", ".4f", json="r_sr.spots_predicted_px")
+    spots_predicted_px: float = col("Scatter of the spots, predicted", "px", ".4f")
     # Aperture and spot from two pictures, and both from one; with the particles of the rendering, and without
     picture_noise_px: Sequence[Measured] = col("Scatter of an offset, predicted", "px", dims="reduced")
     detector_noise_px: Sequence[Measured] = col(
         "Scatter of an offset by the detector alone, predicted", "px", dims="reduced"
     )
-    squareness_sigma_arcsec: float = col("Standard deviation of the squareness", "arcsec", ".2f", json="")
-    sensor_rms_arcsec: FloatArray = col("Part of R_sr, improved reduction", "arcsec", ".2f", "axis", json="")
+    squareness_sigma_arcsec: float = col("Standard deviation of the squareness", "arcsec", ".2f")
+    sensor_rms_arcsec: FloatArray = col("Part of R_sr, improved reduction", "arcsec", ".2f", "axis")
 
 
 def noise(laboratory: Laboratory, cases: Mapping[str, CaseResult], pictures: PictureNoise) -> Noise:
@@ -153,22 +151,22 @@ class Shown:
     """The first bench, as performed, with more particles."""
 
     trims: tuple[FaceTrim, ...]  # With their pictures
-    error_arcsec: FloatArray = col("Error of R_sp", "arcsec", ".2f", "component", json="")
-    face_angle_deg: float = col("Faces", "deg", ".5f", json="face_angle_shown_bench.measured_deg")
-    true_face_angle_deg: float = col("Faces, true", "deg", ".5f", json="face_angle_shown_bench.true_deg")
+    error_arcsec: FloatArray = col("Error of R_sp", "arcsec", ".2f", "component")
+    face_angle_deg: float = col("Faces", "deg", ".5f")
+    true_face_angle_deg: float = col("Faces, true", "deg", ".5f")
     # Spot minus aperture where the faces were left, and by the law of reflection
-    offset_px: Sequence[Measured] = col("Remaining offset", "px", dims="face direction", json="")
-    true_offset_px: FloatArray = col("Remaining offset, true", "px", dims="face direction", json="")
-    rotation_arcsec: FloatArray = col("R_sr", "arcsec", dims="component", json="r_sr.rotation_vector_arcsec")
-    covariance_arcsec2: FloatArray = col("Covariance of R_sr", dims="component other", json="r_sr.covariance_arcsec2")
-    r_sr_error_arcsec: FloatArray = col("Error of R_sr", "arcsec", ".2f", "component", json="r_sr.error_arcsec")
-    spots_rms_px: float = col("Scatter of the spots", "px", ".4f", json="r_sr.spots_rms_px")
-    positions: int = col("Positions of the table", json="r_sr.positions")
-    mask_gap_mm: float = col("Mask to detector", "mm", ".5f", json="r_sr.mask_gap_mm")
-    mask_gap_true_mm: float = col("Mask to detector, true", "mm", ".5f", json="r_sr.mask_gap_true_mm")
-    free_beam_arcsec: Sequence[Measured] = col("Beam off the Z axis", "arcsec", dims="angle", json="")
-    spot_px: FloatArray = col("Spot of the sun sensor", "px", dims="position direction", json="")
-    residual_px: FloatArray = col("Spots minus fit", "px", dims="position direction", json="")
+    offset_px: Sequence[Measured] = col("Remaining offset", "px", dims="face direction")
+    true_offset_px: FloatArray = col("Remaining offset, true", "px", dims="face direction")
+    rotation_arcsec: FloatArray = col("R_sr", "arcsec", dims="component")
+    covariance_arcsec2: FloatArray = col("Covariance of R_sr", dims="component other")
+    r_sr_error_arcsec: FloatArray = col("Error of R_sr", "arcsec", ".2f", "component")
+    spots_rms_px: float = col("Scatter of the spots", "px", ".4f")
+    positions: int = col("Positions of the table")
+    mask_gap_mm: float = col("Mask to detector", "mm", ".5f")
+    mask_gap_true_mm: float = col("Mask to detector, true", "mm", ".5f")
+    free_beam_arcsec: Sequence[Measured] = col("Beam off the Z axis", "arcsec", dims="angle")
+    spot_px: FloatArray = col("Spot of the sun sensor", "px", dims="position direction")
+    residual_px: FloatArray = col("Spots minus fit", "px", dims="position direction")
 
 
 def shown_bench(laboratory: Laboratory, truth: Truth, bench: BenchResult, spots: SensorRun) -> Shown:
@@ -218,11 +216,11 @@ def residuals_px(config: Config, truth: Truth, bench: BenchResult, spots: Sensor
 class Trim:
     """A setting of the table, as in CUBE09 Table 1."""
 
-    face: str = col("Face", json="")
-    trim: int = col("Trim", json="")
-    inner_deg: float = col("Inner", "deg", ".4f", json="")
-    outer_deg: float = col("Outer", "deg", ".4f", json="")
-    offset_px: Sequence[Any] = col("Offset", "px", ".3f", "direction", json="", key="offset_{direction}_px")
+    face: str = col("Face")
+    trim: int = col("Trim")
+    inner_deg: float = col("Inner", "deg", ".4f")
+    outer_deg: float = col("Outer", "deg", ".4f")
+    offset_px: Sequence[Any] = col("Offset", "px", ".3f", "direction")
 
 
 def trims_of(bench: BenchResult) -> list[Trim]:
@@ -309,8 +307,6 @@ SECTIONS = {
         record=Benches,
         dim="case",
         along="name",
-        prefix="bench_",
-        json={"mean_error_arcsec": "mean_error_arcsec"},
         rows="case bench",
         across="axis",
         caption="Error of R_sp, bench by bench.",
@@ -327,12 +323,11 @@ SECTIONS = {
     ),
     "shown": Section(
         record=Shown,
-        prefix="shown_",
-        figures={"pictures": draw_pictures, "sensor_residuals": arrows("shown_spot_px", "shown_residual_px")},
+        figures={"pictures": draw_pictures, "sensor_residuals": arrows("spot_px", "residual_px")},
         verdicts=[
             agree(
-                "shown_offset_px",
-                "shown_true_offset_px",
+                "offset_px",
+                "true_offset_px",
                 title="remaining offsets of the shown bench, circle fits against the law of reflection",
             )
         ],
@@ -340,7 +335,6 @@ SECTIONS = {
     "trims": Section(
         record=Trim,
         dim="setting",
-        prefix="trim_",
         hidden="setting",
         rows="setting",
         across="direction",

@@ -198,30 +198,25 @@ class Detection:
     """Bright stars, false detections, world coordinates."""
 
     frames_looked_at: int = col("Frames evaluated")
-    bright_stars: int = col("Stars of SNR 10 and more", json="completeness.stars")
-    bright_share: float = col("Fraction of these detected", json="completeness.share")
-    bright_undisturbed: float = col("Fraction of the undisturbed stars", json="completeness.undisturbed")
-    bright_missed: float | None = col("Share of undisturbed stars of SNR 10 and more not detected", json="")
-    bright_missed_limit: float = col("Largest fraction consistent with 1 % of stars missed", json="")
-    magnitude_of_half: float = col(
-        "Magnitude at which half of the stars are detected", "mag", ".2f", json="completeness.magnitude_of_half"
-    )
-    false_all: float = col("False detections per frame", format=".2f", json="false_detections_per_frame.all")
-    false_not_flagged: float = col(
-        "Unflagged false detections per frame", format=".2f", json="false_detections_per_frame.not_flagged"
-    )
+    bright_stars: int = col("Stars of SNR 10 and more")
+    bright_share: float = col("Fraction of these detected")
+    bright_undisturbed: float = col("Fraction of the undisturbed stars")
+    bright_missed: float | None = col("Share of undisturbed stars of SNR 10 and more not detected")
+    bright_missed_limit: float = col("Largest fraction consistent with 1 % of stars missed")
+    magnitude_of_half: float = col("Magnitude at which half of the stars are detected", "mag", ".2f")
+    false_all: float = col("False detections per frame", format=".2f")
+    false_not_flagged: float = col("Unflagged false detections per frame", format=".2f")
     false_in_empty_frames: float = col(
         "Unflagged detections in frames without stars, per frame",
         format=".2f",
-        json="false_detections_per_frame.in_empty_frames",
     )
-    false_excess: float | None = col("Unflagged false detections, excess over frames without stars", "sigma", json="")
+    false_excess: float | None = col("Unflagged false detections, excess over frames without stars", "sigma")
     bound_ratio: Measured | None = col(
-        f"Centroid error over its Cramér-Rao bound, SNR {BOUND_SNR[0]:g} to {BOUND_SNR[1]:g}", json=""
+        f"Centroid error over its Cramér-Rao bound, SNR {BOUND_SNR[0]:g} to {BOUND_SNR[1]:g}"
     )
-    bound_limit: float = col("Largest ratio", json="")
+    bound_limit: float = col("Largest ratio")
     wcs_max_error_px: float = col("World coordinates in astropy against chief rays, largest", "px")
-    wcs_judged_px: float | None = col("World coordinates in astropy against chief rays, largest", "px", json="")
+    wcs_judged_px: float | None = col("World coordinates in astropy against chief rays, largest", "px")
     example: Example | None  # The first frame with stars
 
 
@@ -230,22 +225,22 @@ class CompletenessBin:
     """Stars detected in a bin; stars cut by the detector's edge are excluded."""
 
     bin: Any  # Magnitude, its range, or signal-to-noise ratio
-    stars: int = col("Stars", json="")
-    share_found: Measured = col("Detected", format=".4f", json="")
-    low: float = col("68 % interval, from", format=".3f", json="", shown=False)
-    high: float = col("to", format=".3f", json="", shown=False)
+    stars: int = col("Stars")
+    share_found: Measured = col("Detected", format=".4f")
+    low: float = col("68 % interval, from", format=".3f", shown=False)
+    high: float = col("to", format=".3f", shown=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlagGroup:
     """Stars that the truth flags."""
 
-    flag: str = col("Flag", json="")
-    meaning: str = col("Meaning", json="")
-    stars: int = col("Stars", json="")
-    share_found: float = col("Detected", format=".3f", json="")
-    share_fit: float = col("Usable", format=".3f", json="")
-    share_blend: float = col("Flagged as blend", format=".3f", json="")
+    flag: str = col("Flag")
+    meaning: str = col("Meaning")
+    stars: int = col("Stars")
+    share_found: float = col("Detected", format=".3f")
+    share_fit: float = col("Usable", format=".3f")
+    share_blend: float = col("Flagged as blend", format=".3f")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -254,7 +249,7 @@ class CentroidBin:
 
     snr: float = col("Signal-to-noise ratio", format=".1f")
     stars: int = col("Stars")
-    error_px: Measured = col("Error per axis", "px", json_error="error_sigma_px")
+    error_px: Measured = col("Error per axis", "px")
     bound_px: float = col("Cramér-Rao bound", "px")
     ratio: float = col("Ratio", format=".2f")
 
@@ -407,7 +402,7 @@ def example_frame(outcome: Outcome) -> Figure:
 
 
 def _axis(dim: str, label: str) -> Any:
-    return lambda q, bins: q.axis(dim, [bin_.bin for bin_ in bins], label, key=dim)
+    return lambda q, bins: q.axis(dim, [bin_.bin for bin_ in bins], label)
 
 
 HALF: dict[str, Any] = {"width": "half", "aspect_ratio": 0.7}
@@ -446,7 +441,6 @@ SECTIONS = {
         record=CompletenessBin,
         dim="magnitude",
         axes=_axis("magnitude", "Magnitude"),
-        prefix="magnitude_",
         table="completeness",
         caption="Completeness of the detection.",
         note="Without stars cut by the detector's edge. ±: half of the 68 % confidence interval (Wilson).",
@@ -455,21 +449,18 @@ SECTIONS = {
         record=CompletenessBin,
         dim="magnitude_step",
         axes=_axis("magnitude_step", "Magnitude"),
-        prefix="magnitude_step_",
-        figures={"magnitude_curve": curves("magnitude_step", points="magnitude_step_share_found", **HALF)},
+        figures={"magnitude_curve": curves("magnitude_step", points="share_found", **HALF)},
     ),
     "snr_curve": Section(
         record=CompletenessBin,
         dim="snr_step",
         axes=_axis("snr_step", "Signal-to-noise ratio"),
-        prefix="snr_step_",
-        figures={"snr_curve": curves("snr_step", points="snr_step_share_found", log="x", **HALF)},
+        figures={"snr_curve": curves("snr_step", points="share_found", log="x", **HALF)},
     ),
     "flags": Section(
         record=FlagGroup,
         dim="flag",
         along="flag",
-        prefix="flag_",
         caption="Flags of the truth, and detection of these stars.",
         note="Usable: detected and without a flag. Flagged as blend: fraction of the detected stars.",
     ),
@@ -477,16 +468,10 @@ SECTIONS = {
         record=CentroidBin,
         dim="centroid_bin",
         hidden="centroid_bin",
-        prefix="centroid_",
-        place="centroids",
         caption="Centroid error of undisturbed stars against the bound.",
         note="Error: 1.4826 times the median absolute deviation, per axis. Bound: median, for the "
         "lens's PSF at each star's pixel phase, position and flux unknown, background known. "
         "Ratio: the same statistic of the errors divided by their bounds.",
-        figures={
-            "centroid_curve": curves(
-                "centroid_snr", points="centroid_error_px", lines="centroid_bound_px", log="xy", y="Centroid error"
-            )
-        },
+        figures={"centroid_curve": curves("snr", points="error_px", lines="bound_px", log="xy", y="Centroid error")},
     ),
 }

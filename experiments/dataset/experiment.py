@@ -51,6 +51,14 @@ FAINTEST_FRACTION = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Export:
+    """An export of the dataset."""
+
+    format: str = col("Format")
+    files: str = col("Files")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CompleteDataset:
     """A dataset that is complete."""
 
@@ -104,7 +112,9 @@ def run(config: DatasetConfig, *, progress: Progress, output: DatasetFolder) -> 
         output.fetch(dict.fromkeys([*(record.truth for record in records), *(record.file for record in needed)]))
         exports = _export(scene, output.path, records, progress)
         frames = CompleteDataset(**completed, folder=output.path, scene=scene, exports=exports)
-        return dict.fromkeys(SECTIONS) | {"frames": frames} | evaluate(output.path, scene, evaluated, progress)
+        written = [Export(format=name, files=files) for name, files in exports.items()] or None
+        evaluation = evaluate(output.path, scene, evaluated, progress)
+        return dict.fromkeys(SECTIONS) | {"frames": frames, "exports": written} | evaluation
     except BaseException:
         output.close()
         raise
@@ -248,11 +258,6 @@ def evaluate(folder: Path, scene: DatasetScene, records: Sequence[FrameRecord], 
     }
 
 
-def extra(result: Mapping[str, Any]) -> dict[str, Any]:
-    """Texts of ``summary.json``."""
-    return {"exports": dict(result["frames"].exports)}
-
-
 def files(result: Mapping[str, Any], folder: Path) -> None:
     """Index, data card and contact sheet, in addition to the files of every run."""
     frames, detected = result["frames"], result.get("detection")
@@ -315,6 +320,7 @@ def sky_coverage(outcome: Outcome) -> Figure:
 SECTIONS = {
     "frames": Section(record=CompleteDataset, figures={"sky_coverage": sky_coverage}),
     **detection.SECTIONS,
+    "exports": Section(record=Export, dim="export", along="format"),
     "solver": Section(record=Solver),
     **solve.SECTIONS,
 }

@@ -348,7 +348,6 @@ experiment = Experiment(
     config=DatasetConfig,
     run="experiment:run",
     sections="experiment:SECTIONS",
-    extra="experiment:extra",
     files="experiment:files",
     output="remote:dataset_at",
     takes="50 s (--quick: 12 s)",

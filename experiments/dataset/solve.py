@@ -69,16 +69,16 @@ class SkyMap:
 class SolvedFrame:
     """Result of a frame; errors are rotation vectors in cam: across the boresight x, y, and roll z."""
 
-    frame: int = col("Frame", json="")
+    frame: int = col("Frame")
     # Of `calib.attitude.identify.identify`; "wrong" for an error of more than a pixel
-    status: str = col("Status", json="")
-    detected: int = col("Detected", json="")
-    fit: int = col("Without a flag", json="")
-    identified: int = col("Identified", json="")
-    used: int = col("In the attitude", json="")
-    error_arcsec: FloatArray = col("Error", "arcsec", dims="axis", key="error_{axis}_arcsec", json="")  # NaN for none
-    sigma_arcsec: FloatArray = col("σ", "arcsec", dims="axis", key="sigma_{axis}_arcsec", json="")
-    message: str = col("Message", json="")
+    status: str = col("Status")
+    detected: int = col("Detected")
+    fit: int = col("Without a flag")
+    identified: int = col("Identified")
+    used: int = col("In the attitude")
+    error_arcsec: FloatArray = col("Error", "arcsec", dims="axis")  # NaN for none
+    sigma_arcsec: FloatArray = col("σ", "arcsec", dims="axis")
+    message: str = col("Message")
     equal_error_arcsec: FloatArray  # (3,) With equal weights, of the stars that tetra3rs matched
     common_px: float  # Common centroid error estimated from the residuals
 
@@ -240,26 +240,26 @@ class AttitudeStatistics:
     attempted: int = col("Frames tried", shown=False)
     solved: int = col("Frames solved")
     mirrored: int = col("Mirrored", shown=False)
-    wrong: int = col("Wrong", json="", shown=False)
-    unsolved: int = col("Frames that are not solved", json="", shown=False)
-    unsolved_limit: int = col("Largest allowed number of failures", json="", shown=False)
-    median_arcsec: Measured = col("Boresight, median", "arcsec", ".2f", json_error="median_sigma_arcsec")
+    wrong: int = col("Wrong", shown=False)
+    unsolved: int = col("Frames that are not solved", shown=False)
+    unsolved_limit: int = col("Largest allowed number of failures", shown=False)
+    median_arcsec: Measured = col("Boresight, median", "arcsec", ".2f")
     p95_arcsec: float = col("95 % below", "arcsec")
-    largest_arcsec: float = col("Largest", "arcsec", json="")
+    largest_arcsec: float = col("Largest", "arcsec")
     equal_weights_median_arcsec: float = col("Median, equal weights", "arcsec")
     roll_median_arcsec: float = col("Roll, median", "arcsec")
-    circles_arcsec: FloatArray = col("Half of the frames", "arcsec", dims="across", json="", shown=False)
+    circles_arcsec: FloatArray = col("Half of the frames", "arcsec", dims="across", shown=False)
     pull_rms: FloatArray = col("Error over predicted sigma, RMS", dims="rotation", shown=False)
-    pull: Measured | None = col("Error / predicted σ", format=".2f", json="")
-    common_px: float = col("Common centroid error, median", "px", ".3f", json="", shown=False)
-    boresight_arcsec: FloatArray = col("Boresight error", "arcsec", dims="solved_frame across", json="", shown=False)
+    pull: Measured | None = col("Error / predicted σ", format=".2f")
+    common_px: float = col("Common centroid error, median", "px", ".3f", shown=False)
+    boresight_arcsec: FloatArray = col("Boresight error", "arcsec", dims="solved_frame across", shown=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Unsolved:
     """Reason for no attempt."""
 
-    without_solver: str = col("Reason for no attempt", json="why")
+    without_solver: str = col("Reason for no attempt")
 
 
 def attitudes(frames: Sequence[SolvedFrame]) -> AttitudeStatistics:
@@ -302,10 +302,9 @@ def _axes(q: Quantities, frames: Sequence[SolvedFrame]) -> None:
 
 
 SECTIONS = {
-    "unsolved": Section(record=Unsolved, place="solver"),
+    "unsolved": Section(record=Unsolved),
     "attitudes": Section(
         record=AttitudeStatistics,
-        place="solver",
         table="solver",
         caption="Errors of the solved attitudes against the truth.",
         figures={"attitude_errors": cloud("boresight_arcsec", ellipses="circles_arcsec")},
@@ -328,7 +327,6 @@ SECTIONS = {
         record=SolvedFrame,
         dim="tried",
         along="frame",
-        prefix="frame_",
         across="axis",
         axes=_axes,
         caption="All frames to be solved.",

@@ -47,22 +47,14 @@ from render.sensor_file.instrument import Instrument
 class Numbers:
     """The document's numbers by one centroider, 3 sigma, by the way that coordinates become pixels."""
 
-    one_survey_arcsec: FloatArray = col(
-        "One survey", "arcsec", ".3f", "reference number axis", json="[reference][number].one_survey"
-    )
+    one_survey_arcsec: FloatArray = col("One survey", "arcsec", ".3f", "reference number axis")
     # RMS over independent surveys of the same target, same frames; scatter from survey to survey
-    all_surveys_arcsec: FloatArray = col(
-        "All surveys", "arcsec", ".3f", "reference number axis", json="[reference][number].over_surveys"
-    )
-    survey_scatter_arcsec: FloatArray = col(
-        "Scatter of surveys", "arcsec", ".3f", "reference number axis", json="[reference][number].scatter_of_surveys"
-    )
+    all_surveys_arcsec: FloatArray = col("All surveys", "arcsec", ".3f", "reference number axis")
+    survey_scatter_arcsec: FloatArray = col("Scatter of surveys", "arcsec", ".3f", "reference number axis")
     predicted_arcsec: Any = col(
         "Predicted",
         "arcsec",
         dims="reference number axis",
-        json="[reference][number].predicted",
-        json_error="[reference][number].predicted_scatter_over_surveys",
     )
 
 
@@ -84,14 +76,10 @@ def numbers(frames: DistortionMeasurement, predicted: DistortionPrediction, meth
 class Removed:
     """The number that is published, sigma_C1 (3 sigma), by the centroider and the coordinates that count."""
 
-    one_survey_arcsec: FloatArray = col("σC1", "arcsec", ".3f", "axis", json="one_survey")
-    all_surveys_arcsec: Any = col("σC1", "arcsec", dims="axis", json="over_surveys", json_error="scatter_of_surveys")
-    predicted_arcsec: Any = col(
-        "σC1", "arcsec", dims="axis", json="predicted", json_error="predicted_scatter_over_surveys"
-    )
-    above_published: FloatArray | None = col(
-        "Surveys that reach the published value", "%", ".0f", "axis", json="", default=None
-    )
+    one_survey_arcsec: FloatArray = col("σC1", "arcsec", ".3f", "axis")
+    all_surveys_arcsec: Any = col("σC1", "arcsec", dims="axis")
+    predicted_arcsec: Any = col("σC1", "arcsec", dims="axis")
+    above_published: FloatArray | None = col("Surveys that reach the published value", "%", ".0f", "axis", default=None)
 
 
 def removed(of: Numbers, frames: DistortionMeasurement, config: Config, *, published: bool) -> Removed:
@@ -114,20 +102,14 @@ class Target:
     signal_e: float = col("Signal", "e-", ".0f")
     signal_star: str = col("Star")
     points: int = col("Points")
-    terms: int = col("Terms of the polynomial, per axis", json="")
+    terms: int = col("Terms of the polynomial, per axis")
     frames: int = col("Frames")
     pixel_arcsec: float = col("Angle of a pixel", "arcsec")
-    size_px: FloatArray = col("Detector", "px", dims="axis", json="")
-    marking_arcsec: float = col("Marking error", "arcsec", ".2f", json="marking_error_arcsec_3sigma")
-    noise_removed_arcsec: float = col(
-        "Marking error alone", "arcsec", ".2f", json="sigma_c1_of_marking_error_alone_arcsec_3sigma"
-    )
-    published_arcsec: Any = col(
-        "Published σC1", "arcsec", dims="axis", json="published_sigma_c1_arcsec_3sigma", default=None
-    )
-    published_marking_arcsec: float | None = col(
-        "Published marking error", "arcsec", ".2f", json="published_marking_error_arcsec_3sigma", default=None
-    )
+    size_px: FloatArray = col("Detector", "px", dims="axis")
+    marking_arcsec: float = col("Marking error", "arcsec", ".2f")
+    noise_removed_arcsec: float = col("Marking error alone", "arcsec", ".2f")
+    published_arcsec: Any = col("Published σC1", "arcsec", dims="axis", default=None)
+    published_marking_arcsec: float | None = col("Published marking error", "arcsec", ".2f", default=None)
 
 
 def target_record(config: Config, instrument: Instrument, *, published: bool) -> Target:
@@ -153,12 +135,12 @@ def target_record(config: Config, instrument: Instrument, *, published: bool) ->
 class Points:
     """Every target point, by the centroider and the coordinates that count."""
 
-    nominal_px: FloatArray = col("Nominal", "px", dims="point axis", json="", key="nominal_{axis}_px")
-    measured_px: FloatArray = col("Measured", "px", dims="point axis", json="", key="measured_{axis}_px")
-    light_px: FloatArray = col("Centroid of the light", "px", dims="point axis", json="", key="light_{axis}_px")
-    ray_trace_px: FloatArray = col("Ray trace", "px", dims="point axis", json="", key="ray_trace_{axis}_px")
-    d_px: FloatArray = col("Before", "px", dims="point axis", json="", key="d_{axis}_px")
-    left_px: FloatArray = col("After", "px", dims="point axis", json="", key="left_{axis}_px")
+    nominal_px: FloatArray = col("Nominal", "px", dims="point axis")
+    measured_px: FloatArray = col("Measured", "px", dims="point axis")
+    light_px: FloatArray = col("Centroid of the light", "px", dims="point axis")
+    ray_trace_px: FloatArray = col("Ray trace", "px", dims="point axis")
+    d_px: FloatArray = col("Before", "px", dims="point axis")
+    left_px: FloatArray = col("After", "px", dims="point axis")
 
 
 def points(frames: DistortionMeasurement, predicted: DistortionPrediction, config: Config) -> Points:
@@ -179,38 +161,27 @@ def points(frames: DistortionMeasurement, predicted: DistortionPrediction, confi
 class TrueMap:
     """Errors over the whole detector (3 sigma of their RMS, shift and roll taken out), first centroider."""
 
-    uncorrected_arcsec: FloatArray = col(
-        "Distortion", "arcsec", ".3f", "reference axis", json="true_map_arcsec_3sigma[reference].uncorrected"
-    )
-    one_survey_arcsec: FloatArray = col(
-        "One survey", "arcsec", ".3f", "reference axis", json="true_map_arcsec_3sigma[reference].one_survey"
-    )
-    all_surveys_arcsec: FloatArray = col(
-        "All surveys", "arcsec", ".3f", "reference axis", json="true_map_arcsec_3sigma[reference].over_surveys"
-    )
+    uncorrected_arcsec: FloatArray = col("Distortion", "arcsec", ".3f", "reference axis")
+    one_survey_arcsec: FloatArray = col("One survey", "arcsec", ".3f", "reference axis")
+    all_surveys_arcsec: FloatArray = col("All surveys", "arcsec", ".3f", "reference axis")
     # What the one survey's points say of it themselves (`cross_validated`); NaN where they do not
-    point_out_arcsec: FloatArray = col(
-        "A point left out", "arcsec", ".3f", "reference axis", json="true_map_arcsec_3sigma[reference].point_left_out"
-    )
+    point_out_arcsec: FloatArray = col("A point left out", "arcsec", ".3f", "reference axis")
     row_out_arcsec: FloatArray = col(
         "A row or column left out",
         "arcsec",
         ".3f",
         "reference axis",
-        json="true_map_arcsec_3sigma[reference].row_left_out",
     )
     # Of the same reference; its parts: distortion that camera and polynomial cannot follow, errors of the points
     # carried into the map
-    forecast_arcsec: FloatArray = col(
-        "Predicted", "arcsec", ".3f", "reference axis", json="forecast_map_arcsec_3sigma[reference]"
-    )
-    bias_arcsec: FloatArray = col("Distortion after the correction", "arcsec", ".3f", "reference axis", json="")
-    carried_arcsec: FloatArray = col("Propagated point errors", "arcsec", ".3f", "reference axis", json="")
-    ratio: Any = col("After correction, all surveys / predicted", dims="reference axis", json="")
-    over_left_out: FloatArray = col("One survey / left out", format=".2f", dims="reference axis", json="")
-    place_px: FloatArray = col("Place", "px", dims="cell axis", json="")
-    distortion_px: FloatArray = col("Distortion", "px", dims="cell axis", json="")
-    left_px: FloatArray = col("After the correction", "px", dims="cell axis", json="")
+    forecast_arcsec: FloatArray = col("Predicted", "arcsec", ".3f", "reference axis")
+    bias_arcsec: FloatArray = col("Distortion after the correction", "arcsec", ".3f", "reference axis")
+    carried_arcsec: FloatArray = col("Propagated point errors", "arcsec", ".3f", "reference axis")
+    ratio: Any = col("After correction, all surveys / predicted", dims="reference axis")
+    over_left_out: FloatArray = col("One survey / left out", format=".2f", dims="reference axis")
+    place_px: FloatArray = col("Place", "px", dims="cell axis")
+    distortion_px: FloatArray = col("Distortion", "px", dims="cell axis")
+    left_px: FloatArray = col("After the correction", "px", dims="cell axis")
 
 
 def true_map(
@@ -326,7 +297,6 @@ SECTIONS = {
     "target": Section(record=Target),
     "numbers": Section(
         record=Numbers,
-        json=dict.fromkeys(Numbers.__dataclass_fields__, ""),
         table="distortion",
         caption="ACC18's three numbers (3 σ), first centroider.",
         note=f"Conversion of surveyed places to pixels: {COORDINATES}. *All surveys*: RMS over independent surveys of "
@@ -335,13 +305,11 @@ SECTIONS = {
     "centroiders": Section(
         record=Numbers,
         dim="method",
-        prefix="method_",
-        place="methods_arcsec_3sigma[method]",
         caption="ACC18's three numbers (3 σ) by every centroider.",
         verdicts=[
             agree(
-                "method_all_surveys_arcsec",
-                "method_predicted_arcsec",
+                "all_surveys_arcsec",
+                "predicted_arcsec",
                 each="method",
                 false_alarm=1e-3,
                 title="Before, after and removed, over all surveys, against prediction",
@@ -351,8 +319,6 @@ SECTIONS = {
     ),
     "removed": Section(
         record=Removed,
-        prefix="c1_",
-        place="sigma_c1_arcsec_3sigma",
     ),
     "points": Section(
         record=Points,
@@ -363,7 +329,6 @@ SECTIONS = {
     ),
     "map": Section(
         record=TrueMap,
-        prefix="map_",
         rows="reference axis",
         columns="uncorrected_arcsec one_survey_arcsec point_out_arcsec row_out_arcsec all_surveys_arcsec "
         "forecast_arcsec",
@@ -372,18 +337,16 @@ SECTIONS = {
         "centroid errors included).",
         note="–: with a row or a column left out, the others do not determine the polynomial; no "
         "residual tests the map between them.",
-        figures={
-            "true_map": arrows("map_place_px", "map_distortion_px", "map_left_px", frame="size_px", aspect_ratio=0.36)
-        },
+        figures={"true_map": arrows("place_px", "distortion_px", "left_px", frame="size_px", aspect_ratio=0.36)},
         verdicts=[
             ratio_near(
-                "map_ratio",
+                "ratio",
                 within=0.1,
                 title="True map error of all surveys over its prediction",
                 advice="the prediction does not know the lens, or the errors of the points",
             ),
             below(
-                "map_over_left_out",
+                "over_left_out",
                 1.0,
                 title="True map error of a survey over its error at points left out",
                 advice="points left out do not show the error of the map: the grid is too coarse for the order, or "

@@ -28,7 +28,6 @@ from experiments.reduce.series import reduce_series
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
-PLACE = "distortion_arcsec_3sigma[method][reference]"
 DIMS = "method reference axis"
 OVER_BEST = 2.0
 """Ratio to the error of the best order above which the order is wrong, and not a target of few points."""
@@ -39,27 +38,27 @@ class Grid:
     """Distortion error (3 sigma) of n target points by method, reference and axis."""
 
     references: Sequence[str]  # How target coordinates become pixels; without an earlier session none is "calibrated"
-    sigma_d_arcsec: FloatArray = col(LABELS[0], "arcsec", ".3f", DIMS, json=f"{PLACE}.sigma_d")
-    sigma_left_arcsec: FloatArray = col(LABELS[1], "arcsec", ".3f", DIMS, json=f"{PLACE}.sigma_Dd")
-    sigma_c1_arcsec: FloatArray = col(LABELS[2], "arcsec", ".3f", DIMS, json=f"{PLACE}.sigma_C1")
-    left_out_arcsec: FloatArray = col("A point left out", "arcsec", ".3f", DIMS, json=f"{PLACE}.point_left_out")
+    sigma_d_arcsec: FloatArray = col(LABELS[0], "arcsec", ".3f", DIMS)
+    sigma_left_arcsec: FloatArray = col(LABELS[1], "arcsec", ".3f", DIMS)
+    sigma_c1_arcsec: FloatArray = col(LABELS[2], "arcsec", ".3f", DIMS)
+    left_out_arcsec: FloatArray = col("A point left out", "arcsec", ".3f", DIMS)
     # The larger of both; NaN where the other rows or columns do not determine the polynomial
-    row_out_arcsec: FloatArray = col("A row or column left out", "arcsec", ".3f", DIMS, json=f"{PLACE}.row_left_out")
+    row_out_arcsec: FloatArray = col("A row or column left out", "arcsec", ".3f", DIMS)
     order: int = col("Order of the polynomial", shown=False)
     # First method, last reference
-    nominal_px: FloatArray = col("Target", "px", ".2f", "point axis", json="")
-    found_arcsec: FloatArray = col("Residual", "arcsec", ".3f", "point axis", json="")
-    left_arcsec: FloatArray = col("After the polynomial", "arcsec", ".3f", "point axis", json="")
+    nominal_px: FloatArray = col("Target", "px", ".2f", "point axis")
+    found_arcsec: FloatArray = col("Residual", "arcsec", ".3f", "point axis")
+    left_arcsec: FloatArray = col("After the polynomial", "arcsec", ".3f", "point axis")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Order:
     """A polynomial of another order for the same points, first method, last reference; 3 sigma, both axes together."""
 
-    tried: int = col("Order", format="d", json="")
-    tried_left_arcsec: float = col("After the polynomial", "arcsec", ".3f", json="orders[tried].sigma_Dd")
-    tried_point_arcsec: float = col("A point left out", "arcsec", ".3f", json="orders[tried].point_left_out")
-    tried_row_arcsec: float = col("A row or column left out", "arcsec", ".3f", json="orders[tried].row_left_out")
+    tried: int = col("Order", format="d")
+    tried_left_arcsec: float = col("After the polynomial", "arcsec", ".3f")
+    tried_point_arcsec: float = col("A point left out", "arcsec", ".3f")
+    tried_row_arcsec: float = col("A row or column left out", "arcsec", ".3f")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -39,41 +39,32 @@ REFERENCE: Reference = "aligned"
 class WideField:
     """Distortion measured, residual and removed of one survey, 3 sigma."""
 
-    measured_arcsec: FloatArray = col(
-        "Measured", "arcsec", ".3f", "number axis", json="measured", key="wide_measured_arcsec"
-    )
+    measured_arcsec: FloatArray = col("Measured", "arcsec", ".3f", "number axis")
     predicted_arcsec: Any = col(
         "Prescription",
         "arcsec",
         dims="number axis",
-        json="predicted",
-        json_error="predicted_scatter",
-        key="wide_predicted_arcsec",
     )
-    marking_arcsec: FloatArray = col(
-        "Marking errors alone", "arcsec", ".3f", "number axis", json="marking_alone", key="wide_marking_arcsec"
-    )
-    residual_ratio: Any = col("Residuals minus prescription, over expectation from noise and marking", json="")
-    pixel_arcsec: float = col("Angle of a pixel", "arcsec", ".1f", json="")
+    marking_arcsec: FloatArray = col("Marking errors alone", "arcsec", ".3f", "number axis")
+    residual_ratio: Any = col("Residuals minus prescription, over expectation from noise and marking")
+    pixel_arcsec: float = col("Angle of a pixel", "arcsec", ".1f")
 
 
 WIDE = Section(
     record=WideField,
-    prefix="wide_",
-    place="wide_field_arcsec_3sigma[number][axis]",
     table="wide_field",
     rows="number axis",
     columns="measured_arcsec predicted_arcsec marking_arcsec",
     caption="A lens whose distortion exceeds the marking error (3 σ): a single survey, shift, roll and scale fitted.",
     verdicts=[
         agree(
-            "wide_measured_arcsec",
-            "wide_predicted_arcsec",
+            "measured_arcsec",
+            "predicted_arcsec",
             false_alarm=4e-4,  # 4 sigma: squares of few residuals have long tails
             title="Wide field: distortion before, after and removed, against the prescription",
         ),
         ratio_near(
-            "wide_residual_ratio",
+            "residual_ratio",
             within=0.0,
             false_alarm=1e-4,
             title="Wide field: residuals minus prescription, RMS over its expectation",

@@ -240,35 +240,33 @@ class Accuracy:
     """Star vectors of one acquisition: standard deviation per axis by Fisher and by pixel residuals, predicted."""
 
     n: int = col("n")
-    sigma_arcsec: Measured = col("σ per axis", "arcsec", key="sigma")
-    sigma_interval_95_arcsec: Sequence[float] = col("95 %", "arcsec", ".4f", "end", key="interval")
-    sigma_predicted_arcsec: float = col("Predicted", "arcsec", ".4f", key="predicted")
+    sigma_arcsec: Measured = col("σ per axis", "arcsec")
+    sigma_interval_95_arcsec: Sequence[float] = col("95 %", "arcsec", ".4f", "end")
+    sigma_predicted_arcsec: float = col("Predicted", "arcsec", ".4f")
     z_score: float = col("Deviation", "sigma", "+.2f")  # By the distribution of the sum of squared chords
     # The deviation that an error of 100 % of the standard deviation makes, to first order
-    z_of_whole: float = col("Deviation for an error of 100 %", "sigma", ".1f", json="", shown=False)
+    z_of_whole: float = col("Deviation for an error of 100 %", "sigma", ".1f", shown=False)
     # Readings and clocks of the table taken off in quadrature; NaN where they are all of it
-    sigma_without_table_arcsec: float = col("σ less table", "arcsec", ".4f", key="camera")
+    sigma_without_table_arcsec: float = col("σ less table", "arcsec", ".4f")
     # Uncertainty: scatter of the ratio from covariances; both methods share the noise
-    baseline_over_fisher: Measured = col(
-        "Pixel / Fisher", "", ".4f", key="ratio", json_error="baseline_over_fisher_scatter"
-    )
-    baseline_over_fisher_predicted: float = col("Pixel / Fisher, predicted", "", ".4f", key="predicted_ratio")
-    streak_px: float = col("Streak", "px", ".1f", key="streak", shown=False)
-    one_minus_resultant_length: float = col("1 − R", "", ".4e", key="one_minus_r", shown=False)
-    concentration_document: float = col("1/(1 − R)", "", ".4e", key="k_document", shown=False)  # FISHER23 eq. 11
-    concentration: float = col("(n − 1)/(n (1 − R))", "", ".4e", key="k", shown=False)  # Its inverse is unbiased
-    isotropy_p_value: float = col("Isotropy, p", "", ".2g", key="p_value", shown=False)  # Mauchly's test
-    isotropy_ratio: float = col("Major over minor axis", "", ".2f", key="axes", shown=False)
+    baseline_over_fisher: Measured = col("Pixel / Fisher", "", ".4f")
+    baseline_over_fisher_predicted: float = col("Pixel / Fisher, predicted", "", ".4f")
+    streak_px: float = col("Streak", "px", ".1f", shown=False)
+    one_minus_resultant_length: float = col("1 − R", "", ".4e", shown=False)
+    concentration_document: float = col("1/(1 − R)", "", ".4e", shown=False)  # FISHER23 eq. 11
+    concentration: float = col("(n − 1)/(n (1 − R))", "", ".4e", shown=False)  # Its inverse is unbiased
+    isotropy_p_value: float = col("Isotropy, p", "", ".2g", shown=False)  # Mauchly's test
+    isotropy_ratio: float = col("Major over minor axis", "", ".2f", shown=False)
     # Modified Kolmogorov statistic of k (1 - cos) against the exponential distribution, refused at 5 % above 1.094
-    exponential_statistic: float = col("Kolmogorov", "", ".3f", key="statistic", shown=False)
+    exponential_statistic: float = col("Kolmogorov", "", ".3f", shown=False)
     outliers: int = col("Outliers", shown=False)
     lost: int = col("Places without a position", shown=False)
     effective_degrees: float = col("Degrees of freedom from the scatter itself", "", ".0f", shown=False)
     sigma_interval_95_own_degrees_arcsec: Sequence[float] = col(
-        "95 % by degrees of freedom from the scatter", "arcsec", ".4f", "end", key="own_interval", shown=False
+        "95 % by degrees of freedom from the scatter", "arcsec", ".4f", "end", shown=False
     )
     baseline_arcsec: FloatArray = col("Pixel method", "arcsec", ".4f", "source", shown=False)
-    offset_arcsec: FloatArray = col("Star vectors about their mean", "arcsec", dims="vector axis", json="", shown=False)
+    offset_arcsec: FloatArray = col("Star vectors about their mean", "arcsec", dims="vector axis", shown=False)
 
 
 def accuracy(rig: Calibrated, taken: Acquisition) -> tuple[Accuracy, dict[str, float], dict[str, float]]:
@@ -402,21 +400,12 @@ class Cause:
         "arcsec",
         ".4f",
         "acquisition",
-        key="{acquisition}_expected",
-        json={
-            one: f"[acquisition].expected_arcsec.{one}" for one in ("centroids", "readings", "clocks", "calibration")
-        },
     )
     realised_arcsec: Sequence[float] = col(
         "Realised",
         "arcsec",
         ".4f",
         "acquisition",
-        key="{acquisition}_realised",
-        json={
-            one: f"[acquisition].realised_arcsec.{place}"
-            for one, place in (("centroids", "centroids"), ("table", "table"), ("calibration", "camera"))
-        },
     )
 
 
@@ -434,8 +423,8 @@ class SameData:
 class Setup:
     """Instrument of the measurement."""
 
-    lens: str = col("Lens", json="")
-    pixel_arcsec: float = col("Angle of a pixel", "arcsec", ".2f", json="")
+    lens: str = col("Lens")
+    pixel_arcsec: float = col("Angle of a pixel", "arcsec", ".2f")
     calibration_signal_e: float = col("Signal of the calibration", "e-", ".0f")
     calibration_signal_star: str = col("Star of the calibration")
     signal_e: float = col("Signal", "e-", ".0f")
@@ -483,7 +472,7 @@ def setup(rig: Calibrated) -> Setup:
 def axes(config: Config) -> Quantities:
     """Dimensions that sections share."""
     q = Quantities()
-    q.axis("acquisition", ACQUISITIONS, "Acquisition", key="acquisition")
+    q.axis("acquisition", ACQUISITIONS, "Acquisition")
     q.axis("cause", list(CAUSES), "Cause", names=CAUSES)
     q.axis("source", ANGLES, "Angle per pixel from")
     half = round(50.0 * (1.0 - CONFIDENCE), 6)
@@ -521,7 +510,6 @@ SECTIONS = {
     "accuracy": Section(
         record=Accuracy,
         dim="acquisition",
-        place="[acquisition]",
         across="end source",
         caption="Accuracy of single-frame star vectors (S300–S500).",
         note="Uncertainty 1 σ, interval by χ² with 2 (n − 1) degrees of freedom. Predicted: from the "
@@ -562,6 +550,6 @@ SECTIONS = {
             "cause_bars": bars("cause", bars="realised_arcsec", points="expected_arcsec", panels="acquisition"),
         },
     ),
-    "same_data": Section(record=SameData, prefix="same_data_", place="same_data_rendered"),
+    "same_data": Section(record=SameData),
     "setup": Section(record=Setup),
 }

@@ -29,13 +29,13 @@ class FieldPoint:
 
     field_deg: float = col("Field", "deg", "g")
     # Noise isotropic on the sphere: pixel method over Fisher on the same vectors, Fisher over the truth
-    baseline_bias_percent: Measured = col("Pixel method", "percent", key="baseline")
-    closed_form_percent: float = col("closed form", "percent", ".4f", key="closed_form")
-    fisher_bias_percent: Measured = col("Fisher", "percent", key="fisher")
+    baseline_bias_percent: Measured = col("Pixel method", "percent")
+    closed_form_percent: float = col("closed form", "percent", ".4f")
+    fisher_bias_percent: Measured = col("Fisher", "percent")
     vectors_needed: float = col("Vectors to detect it", format=".2g")
     # Noise isotropic in pixels: Fisher over the pixel method, which gives the noise on the axis, on the same images
-    pixel_noise_fisher_percent: Measured = col("Pixel noise", "percent", key="opposite")
-    pixel_noise_quadrature_percent: float = col("quadrature", "percent", ".4f", key="quadrature")
+    pixel_noise_fisher_percent: Measured = col("Pixel noise", "percent")
+    pixel_noise_quadrature_percent: float = col("quadrature", "percent", ".4f")
 
 
 def field_sweep(config: FieldConfig, streams: Streams, *, advance: Callable[[], None]) -> list[FieldPoint]:
@@ -77,7 +77,6 @@ FIELDS = Section(
     record=FieldPoint,
     dim="field",
     along="field_deg",
-    place="field_sweep[field]",
     table="field_of_view",
     caption="Bias of the standard deviation by method, against the width of a square field.",
     note="Ideal cameras, known calibration, vectors evenly over the detector; ± 1 standard error. "

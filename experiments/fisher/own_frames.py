@@ -41,15 +41,15 @@ class Vectors:
     interval_arcsec: Sequence[float] = col("95 % interval", "arcsec", ".4f", "end", shown=False)
     # By the covariances of images, readings and calibration
     predicted_arcsec: float = col("Predicted", "arcsec", ".4f")
-    centroids_arcsec: float = col("by centroids", "arcsec", ".4f", json="predicted_parts_arcsec.centroids")
-    readings_arcsec: float = col("by readings", "arcsec", ".4f", json="predicted_parts_arcsec.readings")
+    centroids_arcsec: float = col("by centroids", "arcsec", ".4f")
+    readings_arcsec: float = col("by readings", "arcsec", ".4f")
     pixel_method_arcsec: float = col("Pixel residuals", "arcsec", ".4f")
     z_score: float = col("Measured against predicted", "sigma", shown=False)
     # The deviation that an error of 100 % of the standard deviation makes, to first order
-    z_of_whole: float = col("Deviation for an error of 100 %", "sigma", json="", shown=False)
+    z_of_whole: float = col("Deviation for an error of 100 %", "sigma", shown=False)
     calibration_poses: int = col("Poses that calibrated", shown=False)
-    place_px: FloatArray = col("Image", "px", ".2f", "vector axis", json="")
-    left_arcsec: FloatArray = col("Residual", "arcsec", ".2f", "vector axis", json="")
+    place_px: FloatArray = col("Image", "px", ".2f", "vector axis")
+    left_arcsec: FloatArray = col("Residual", "arcsec", ".2f", "vector axis")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -42,9 +42,9 @@ LEVEL = 0.95
 class Mission:
     """Sensor and availability of its attitude."""
 
-    name: str = col("Sensor", json="")
-    lens: str = col("Lens", json="")
-    detector: str = col("Detector", json="")
+    name: str = col("Sensor")
+    lens: str = col("Lens")
+    detector: str = col("Detector")
     period_s: float = col("Period of the orbit", "s", ".0f")
     rate_deg_per_s: float = col("Rate across the line of sight, mean", "deg/s", ".4g")
     # Turned evenly faster by a, the mean of a star's light over the exposure t is a t^2 / 24 off the middle's
@@ -167,7 +167,7 @@ class Part:
     predicted_thermo_elastic_arcsec: FloatArray = col("Predicted", "arcsec", ".4f", "axis", shown=False)
     aberration_arcsec: Sequence[Measured] = col("Aberration, residual", "arcsec", dims="axis")
     predicted_aberration_arcsec: FloatArray = col("Predicted", "arcsec", ".4f", "axis", shown=False)
-    status: str = col("First frame", json="")
+    status: str = col("First frame")
 
 
 def parts(segments: Sequence[Segment], errors: Sequence[AttitudeErrors]) -> list[Part]:
@@ -205,8 +205,8 @@ def parts(segments: Sequence[Segment], errors: Sequence[AttitudeErrors]) -> list
 class Metric:
     """An error metric at the confidence level, for a normal error of the predicted terms."""
 
-    metric: str = col("Metric", json="")
-    meaning: str = col("Meaning", json="")
+    metric: str = col("Metric")
+    meaning: str = col("Meaning")
     predicted_arcsec: FloatArray = col("Predicted", "arcsec", ".4g", "component")
     measured_arcsec: Sequence[float] | None = col("Measured", "arcsec", ".4g", "component", default=None)
 
@@ -246,7 +246,7 @@ def metrics(terms: Sequence[AttitudeTerm], segments: Sequence[Segment]) -> list[
 class Age:
     """The sensor new, and at the end of its life, by prediction."""
 
-    age: str = col("Life", json="")
+    age: str = col("Life")
     limiting_magnitude_mag: float = col("Limiting magnitude, half detected", "mag", ".2f")
     electrons_e: float = col("Electrons of a star of 6 mag", "e-", ".0f")
     dark_e: float = col("Dark charge", "e-", ".3g")
@@ -317,7 +317,7 @@ def turning(budget: Budget) -> list[Turning]:
 class Kelvin:
     """Attitude error per kelvin of a state of the temperature field, RMS over the segments."""
 
-    state: str = col("Temperature", json="")
+    state: str = col("Temperature")
     attitude_arcsec: FloatArray = col("Attitude error per kelvin", "arcsec", ".4g", "component")
     corner_px: float = col("Shift of a star in the corner per kelvin", "px", ".4f")
 
@@ -412,24 +412,18 @@ SECTIONS = {
         record=AttitudeTerm,
         dim="term",
         axes=_term_axis,
-        prefix="term_",
-        place="terms[term]",
         table="terms",
         rows="term component",
         columns="measured_arcsec predicted_arcsec ratio slope",
         caption="Attitude error by terms, RMS over the flight, one standard deviation; across: about one axis.",
         note="No ratio or slope: the term is below 5 % of the total. The total adds errors of known sign (bias, thermo-"
         "elastic, FOV spatial, aberration) in every segment, not their squares.",
-        figures={
-            "terms": bars("term", bars="term_measured_arcsec", points="term_predicted_arcsec", panels="component")
-        },
+        figures={"terms": bars("term", bars="measured_arcsec", points="predicted_arcsec", panels="component")},
         verdicts=VERDICTS,
     ),
     "metrics": Section(
         record=Metric,
         dim="metric_row",
-        prefix="metric_",
-        place="metrics[metric_row]",
         table="metrics",
         hidden="metric_row",
         rows="metric_row component",
@@ -440,21 +434,17 @@ SECTIONS = {
         record=Moment,
         dim="moment",
         along="time_min",
-        place="history[moment]",
-        prefix="at_",
         table="history",
         caption="Geometry and temperature over the orbit.",
         figures={
-            "angles": curves("moment", lines="at_sun_deg at_earth_deg at_moon_deg", y="Angle from the boresight"),
-            "temperature": curves("moment", lines="at_mean_k"),
+            "angles": curves("moment", lines="sun_deg earth_deg moon_deg", y="Angle from the boresight"),
+            "temperature": curves("moment", lines="mean_k"),
         },
     ),
     "parts": Section(
         record=Part,
         dim="part",
         along="part_min",
-        prefix="part_",
-        place="parts[part]",
         table="parts",
         rows="part",
         columns="stars status thermo_elastic_arcsec aberration_arcsec error_arcsec",
@@ -463,8 +453,8 @@ SECTIONS = {
         figures={
             name: curves(
                 "part",
-                points=f"part_{name}_arcsec",
-                lines=f"part_predicted_{name}_arcsec",
+                points=f"{name}_arcsec",
+                lines=f"predicted_{name}_arcsec",
                 panels="axis",
                 aspect_ratio=0.36,
             )
@@ -474,8 +464,6 @@ SECTIONS = {
     "lives": Section(
         record=Age,
         dim="life",
-        prefix="life_",
-        place="lives[life]",
         table="lives",
         rows="life",
         hidden="life",
@@ -486,8 +474,6 @@ SECTIONS = {
         record=Turning,
         dim="rate",
         along="rate_deg_per_s",
-        prefix="rate_",
-        place="rates[rate]",
         table="rates",
         across="component",
         caption="Prediction for the same stars while the body turns across the line of sight.",
@@ -496,8 +482,6 @@ SECTIONS = {
     "kelvin": Section(
         record=Kelvin,
         dim="state_row",
-        prefix="per_kelvin_",
-        place="per_kelvin[state_row]",
         table="per_kelvin",
         rows="state_row",
         hidden="state_row",

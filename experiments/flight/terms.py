@@ -50,7 +50,7 @@ def _where_known(make: Callable[..., Verdict], name: str, *values: float, **how:
         verdict = make(name, *values, at=at, **how)
 
         def judge(outcome: Outcome) -> list[Criterion]:
-            known = name in outcome.data and term in outcome.data["term"].values
+            known = name in outcome and term in outcome.data["term"].values
             return verdict(outcome) if known and math.isfinite(float(outcome.values(name, **at))) else []
 
         judge.names = verdict.names  # type: ignore[attr-defined]
@@ -61,11 +61,11 @@ def _where_known(make: Callable[..., Verdict], name: str, *values: float, **how:
 
 
 VERDICTS = [
-    *_where_known(ratio_near, "term_ratio", within=0.15, title="measured over predicted", terms=TERMS),
-    *_where_known(ratio_near, "term_ratio", within=0.10, title="measured over predicted", terms=("total",)),
+    *_where_known(ratio_near, "terms.ratio", within=0.15, title="measured over predicted", terms=TERMS),
+    *_where_known(ratio_near, "terms.ratio", within=0.10, title="measured over predicted", terms=("total",)),
     *_where_known(
         agree,
-        "term_slope",
+        "terms.slope",
         1.0,
         slack=0.15,
         title="slope of the measured errors against the predicted ones",

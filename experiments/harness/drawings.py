@@ -72,13 +72,13 @@ def curves(
         drawn = _keys(o, by)
         figure, grid = new_figure(1, len(keys), sharey=True, squeeze=False, **({"aspect_ratio": 0.5} | size))
         whole_x, ticks = _across(o, x)
-        at_x, group = whole_x, o.values(by) if by in o.data.data_vars else None
+        at_x, group = whole_x, o.values(by) if by and by in o and by not in o.data.dims else None
         apart = not by and len(points.split()) + len(lines.split()) > 1
         for panel, key in zip(grid[0], keys, strict=True):
 
             def part(name: str, key: Any = key, **more: Any) -> tuple[Any, Any]:
                 where = {panels: key, **(at or {}), **more}
-                where = {dim: one for dim, one in where.items() if dim and dim in o.data[name].dims}
+                where = {dim: one for dim, one in where.items() if dim and dim in o.dims(name)}
                 some = ... if group is None or by not in more else group == more[by]
                 return o.values(name, **where)[some], o.errors(name, **where)[some]
 
@@ -88,12 +88,12 @@ def curves(
             for k, member in enumerate(drawn):
                 where = {by: member} if by else {}
                 at_x = whole_x if group is None else whole_x[group == member]
-                for n, name in enumerate(one for one in lines.split() if one in o.data):
+                for n, name in enumerate(one for one in lines.split() if one in o):
                     shared = _shared(o, name, by)
                     if not shared or k == 0:
                         colour = INK if shared else PALETTE[n if apart else k]
                         panel.plot(at_x, part(name, **where)[0], color=colour, linewidth=1.1)
-                for n, name in enumerate(one for one in points.split() if one in o.data):
+                for n, name in enumerate(one for one in points.split() if one in o):
                     value, error = part(name, **where)
                     style = n if apart else k
                     beside = _beside(at_x, k, len(drawn), log) if level is not None else at_x
@@ -106,12 +106,12 @@ def curves(
                         markerfacecolor="white",
                         linewidth=0.9,
                     )
-            if floor and floor in o.data:
+            if floor and floor in o:
                 bound = part(floor)[0]
                 panel.plot(at_x, bound, color=INK, linewidth=1.0)
                 panel.fill_between(at_x, 1e-9 if "y" in log else 0.0, bound, color=SHADE, linewidth=0, zorder=0)
                 panel.set_ylim(0.75 * np.nanmin(o.values(floor)) if "y" in log else 0.0, None)
-            if dashes and dashes in o.data:
+            if dashes and dashes in o:
                 value, shown = float(part(dashes)[0]), o.quantity(dashes)
                 panel.axhline(value, color=GREY, linewidth=0.9, dashes=(5, 3))
                 words = f"{shown.label[:1].lower()}{shown.label[1:]} {value:{shown.format or 'g'}}"
@@ -122,9 +122,9 @@ def curves(
                 log_ticks(panel, "x" if letter == "x" else "y")
             if ticks:
                 panel.set_xticks(at_x, ticks)
-        first = next(o.quantity(one) for one in (points or lines).split() if one in o.data)
+        first = next(o.quantity(one) for one in (points or lines).split() if one in o)
         grid[0][0].set_ylabel(replace(first, label=y or first.label).heading)
-        black = [name for name in (*lines.split(), floor) if name in o.data and (name == floor or _shared(o, name, by))]
+        black = [name for name in (*lines.split(), floor) if name in o and (name == floor or _shared(o, name, by))]
         _legend(o, figure, by, drawn, (points, lines) if apart else ("", ""), black)
         return figure
 
@@ -142,7 +142,7 @@ def bars(
     def draw(o: Outcome) -> Figure:
         from experiments.harness.plotting import INK, PALETTE, new_figure
 
-        long, circles = (bars, points) if bars in o.data else (points, "")
+        long, circles = (bars, points) if bars in o else (points, "")
         keys, members = _keys(o, panels), _keys(o, by)
         figure, grid = new_figure(1, len(keys), sharey=True, squeeze=False, **({"aspect_ratio": 0.36} | size))
         place, thick = -np.arange(o.data.sizes[dim], dtype=float), 0.7 / len(members)
@@ -153,17 +153,18 @@ def bars(
                 label = o.label(by, member) if by else o.quantity(long).label
                 panel.barh(beside, o.values(long, **at), height=thick, color=colour, alpha=0.85, label=label)
                 for name, shape, ink in ((circles, "o", INK), (marks, "D", GREY)):
-                    if name and name in o.data:
+                    if name and name in o:
                         style = {"color": ink, "markerfacecolor": "white", "markersize": 4, "linestyle": ""}
                         own = o.quantity(name).label if k == 0 else None
-                        its = {dim: value for dim, value in at.items() if dim in o.data[name].dims}
+                        its = {dim: value for dim, value in at.items() if dim in o.dims(name)}
                         panel.plot(o.values(name, **its), beside, marker=shape, label=own, **style)
             panel.set_yticks(place, o.names(dim))
             if len(place) < 3:
                 panel.set_ylim(place.mean() - 1.5, place.mean() + 1.5)
             panel.grid(visible=False, axis="y")
             low = min(0.0, float(np.nanmin(o.values(long))))
-            heading = o.heading(long).removeprefix(o.quantity(long).label if {circles, marks} & {*o.data} else "")
+            compared = any(name and name in o for name in (circles, marks))
+            heading = o.heading(long).removeprefix(o.quantity(long).label if compared else "")
             panel.set(title=o.label(panels, key) if panels else "", xlabel=heading.strip(), xlim=(low or 0, None))
         handles, labels = grid[0][0].get_legend_handles_labels()
         if len(handles) > 1:
@@ -232,7 +233,7 @@ def cloud(name: str, *, ellipses: str = "", panels: str = "", at: dict[str, Any]
             dots = o.values(name, **here).reshape(-1, 2)
             size, alpha = (1.6, 0.5) if len(dots) > 300 else (5.0, 0.9)
             panel.plot(*dots.T, ".", color=PALETTE[0], markersize=size, alpha=alpha)
-            for one, colour in zip((e for e in ellipses.split() if e in o.data), (PALETTE[1], INK), strict=False):
+            for one, colour in zip((e for e in ellipses.split() if e in o), (PALETTE[1], INK), strict=False):
                 half = o.quantity(one)
                 where = {dim: _position(o, dim, k) for dim, k in {**here, **(at or {})}.items() if dim in half.dims}
                 x, y = np.broadcast_to(half.at(**where).values, 2)
@@ -296,7 +297,7 @@ def _keys(o: Outcome, dim: str) -> list[Any]:
     """Coordinates along a dimension, positions where it has none; a single None without a dimension; or texts."""
     if not dim:
         return [None]
-    if dim in o.data.data_vars:
+    if dim in o and dim not in o.data.dims:
         return list(dict.fromkeys(o.values(dim).tolist()))
     return o.data[dim].values.tolist() if dim in o.data.coords else list(range(o.data.sizes[dim]))
 
@@ -307,9 +308,9 @@ def _position(o: Outcome, dim: str, key: Any) -> int:
 
 def _across(o: Outcome, x: str) -> tuple[Any, list[str]]:
     """Numbers for an axis, and the names to write there if they are none."""
-    if x not in o.data:
+    if x not in o:
         return np.arange(o.data.sizes[x], dtype=float) + 1.0, []
-    values = o.data[x].values
+    values = o.values(x)
     if values.dtype.kind in "OU":
         return np.arange(len(values), dtype=float), o.names(x)
     return values.astype(float), []
@@ -317,7 +318,7 @@ def _across(o: Outcome, x: str) -> tuple[Any, list[str]]:
 
 def _shared(o: Outcome, name: str, by: str) -> bool:
     """Whether a line is the same for all coordinates of ``by``."""
-    return by in o.data.dims and by not in o.data[name].dims
+    return by in o.data.dims and by not in o.dims(name)
 
 
 def _beside(at_x: Any, k: int, count: int, log: str) -> Any:
@@ -331,7 +332,7 @@ def _legend(o: Outcome, figure: Figure, by: str, drawn: list[Any], kinds: tuple[
 
     from experiments.harness.plotting import INK, MARKERS, PALETTE
 
-    points, lines = ([one for one in kind.split() if one in o.data] for kind in kinds)
+    points, lines = ([one for one in kind.split() if one in o] for kind in kinds)
     handles = []
     if by:
         named = o.labels(by) if by in o.data.coords else {n: f"{by} {n + 1}" for n in range(o.data.sizes.get(by, 0))}

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -61,8 +61,6 @@ class Experiment:
     # Two command lines (what follows the name) -> what they do
     examples: Mapping[str, str] = field(default_factory=dict)
     report: str | Path = "report.md"  # Template of the report, relative to the package
-    # ``extra(result) -> mapping``: what ``results`` in ``summary.json`` holds besides quantities
-    extra: Part | None = None
     # Dotted key -> value of the ``--quick`` run; the user's own settings win over it
     quick: Mapping[str, Any] = field(default_factory=dict)
     show: Sequence[str] = ()  # Tables that are printed in the terminal too
@@ -119,15 +117,6 @@ class Experiment:
         q = self.part(self.axes)(config) if self.axes is not None else Quantities()
         return Outcome(config=config, result=result, data=described(self.parts(result), q, result).dataset)
 
-    def results(self, outcome: Outcome) -> dict[str, Any]:
-        """The ``results`` of ``summary.json``; they end with the process's resources, if not described otherwise."""
-        from experiments.harness.provenance import peak_memory_mb, process_seconds
-        from experiments.harness.quantities import to_results
-
-        found = to_results(outcome.data) | (self.part(self.extra)(outcome.result) if self.extra is not None else {})
-        took = {"runtime_s": process_seconds(), "peak_memory_mb": peak_memory_mb()}
-        return found | {key: value for key, value in took.items() if key not in found}
-
     def make_tables(self, outcome: Outcome, *, every: bool = False) -> dict[str, Table]:
         """Tables by name; with ``every`` all columns of the sections, which is what ECSV files hold."""
         from experiments.harness.pivot import Pivot, pivot
@@ -144,13 +133,17 @@ class Experiment:
 
     def draw(self, outcome: Outcome) -> Callable[..., Any]:
         """``draw(name)``: figure of the experiment by name."""
-        sections = self.parts(outcome.result).values()
-        known = {key: drawing for one in sections for key, drawing in one.figures.items()}
+        figures = {
+            name: (section, drawing)
+            for section, described in self.parts(outcome.result).items()
+            for name, drawing in described.figures.items()
+        }
 
         def call(name: str, *arguments: Any) -> Any:
-            if name not in known:
-                raise unknown_name("figure", name, known)
-            return known[name](outcome, *arguments)
+            if name not in figures:
+                raise unknown_name("figure", name, figures)
+            section, drawing = figures[name]
+            return drawing(replace(outcome, section=section), *arguments)
 
         return call
 

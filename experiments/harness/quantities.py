@@ -1,16 +1,16 @@
 """The numbers of a result, each described once: values, uncertainty, sample size, dimensions, label, unit, format.
 
-They are an `xarray.Dataset` whose variables have ``long_name`` and ``units`` of the CF conventions (sec. 3.1 to 3.3);
-uncertainty and sample size of a variable are ancillary variables (sec. 3.4) ``NAME_error`` and ``NAME_n``. From this
-description follow ``summary.json`` (`to_results`), tables (`experiments.harness.pivot`), the axes of figures, the
-numbers in the text of a report (`Outcome`), and ``results.nc``.
+They are an `xarray.Dataset`. A number has one name, ``SECTION.FIELD``: variable of ``results.nc``, path below
+``results`` in ``summary.json`` (`to_results`), and, as FIELD, column of the section's ECSV file. Figures, verdicts and
+the text of a report may say FIELD alone for a field of their own section, or where only one section has it (`Outcome`).
+Variables have ``long_name`` and ``units`` of the CF conventions (sec. 3.1 to 3.3); uncertainty and sample size are
+ancillary variables (sec. 3.4) ``SECTION.FIELD_error`` and ``SECTION.FIELD_n``.
 """
 
 from __future__ import annotations
 
 import itertools
-import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,13 +19,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from experiments.harness.summary import Measured
-from optics.errors import ConfigError, DomainError, unknown_name
+from optics.errors import DomainError, unknown_name
 
 if TYPE_CHECKING:
     import xarray as xr
 
-Places = str | Mapping[str, str | Sequence[str]]
-WHOLE = "*"
+IN_SUMMARY = 4000
+"""Values of a quantity beyond which ``summary.json`` gives its shape and refers to ``results.nc``."""
 _EXACT_INTEGERS = 2**53  # identifiers of stars are beyond what a float64 can tell apart
 
 _SHOWN = {"arcsec": "″", "arcmin": "′", "deg": "°", "um": "µm", "e-": "e⁻", "e-/s": "e⁻/s", "sigma": "σ"}
@@ -45,9 +45,9 @@ class Quantities:
     --------
     >>> q = Quantities()
     >>> q.axis("axis", ["x", "y"], "Axis")
-    >>> q.add("te_arcsec", [1.1, 1.2], "Temporal error", unit="arcsec", dims="axis", error=[0.1, 0.1], n=30)
-    >>> to_results(q.dataset)["te_arcsec"]["x"]
-    Measured(value=1.1, unit='arcsec', uncertainty=0.1, n=30)
+    >>> q.add("star.te_arcsec", [1.1, 1.2], "Temporal error", unit="arcsec", dims="axis", error=[0.1, 0.1], n=30)
+    >>> to_results(q.dataset)["star"]["te_arcsec"]["value"]
+    {'x': 1.1, 'y': 1.2}
     """
 
     def __init__(self) -> None:
@@ -70,13 +70,12 @@ class Quantities:
         *,
         unit: str = "",
         format: str = "",
-        key: str = "",
         names: Mapping[Any, str] | Sequence[str] | None = None,
         units: Sequence[str] = (),
     ) -> None:
         """Describe a dimension; ``units`` are the units, one by one, of quantities along it whose unit is "{NAME}"."""
         coordinates = np.asarray(values)
-        attrs = {"long_name": label or name, "units": unit, "format": format, "key": key}
+        attrs = {"long_name": label or name, "units": unit, "format": format}
         self._sizes[name] = len(coordinates)
         self.coordinates[name] = (name, coordinates, attrs)
         if names is not None:
@@ -96,11 +95,8 @@ class Quantities:
         error: ArrayLike | None = None,
         n: ArrayLike | None = None,
         format: str = "",
-        key: str | None = None,
-        json: Places | None = None,
-        json_error: Places = "",
     ) -> None:
-        """Describe a quantity."""
+        """Describe the quantity ``SECTION.FIELD``."""
         if name in self._values or name in self.coordinates:
             raise DomainError(f"quantity {name!r} is described twice")
         names = tuple(dims.split()) if isinstance(dims, str) else tuple(dims)
@@ -112,7 +108,6 @@ class Quantities:
         if array.ndim != len(names):
             raise DomainError(f"quantity {name!r} has shape {array.shape} for dimensions {' '.join(names) or '(none)'}")
         attrs: dict[str, Any] = {"long_name": label or name, "units": unit or found_unit, "format": format}
-        attrs |= {"key": name if key is None else key, "json": name if json is None else json}
         extra = {part: given for part, given in (("error", error), ("n", n)) if given is not None}
         if extra:
             attrs["ancillary_variables"] = " ".join(f"{name}_{part}" for part in extra)
@@ -125,8 +120,7 @@ class Quantities:
                 whole = np.broadcast_to(np.asarray(given, dtype=np.float64), array.shape)
             except ValueError as problem:
                 raise DomainError(f"quantity {name!r}: {problem}") from None
-            own = {"json": json_error} if part == "error" else {}
-            self._values[f"{name}_{part}"] = (names, whole.copy(), {"ancillary_of": name, **own})
+            self._values[f"{name}_{part}"] = (names, whole.copy(), {"ancillary_of": name})
 
 
 def _split(values: Any) -> tuple[Any, Any, Any, str]:
@@ -153,12 +147,10 @@ def _split(values: Any) -> tuple[Any, Any, Any, str]:
 class Quantity:
     """One quantity of a data set, or a part of it, as plain arrays."""
 
-    name: str  # As described (`Quantities.add`)
+    name: str  # SECTION.FIELD, or the name of a dimension
     label: str
     unit: str
     format: str
-    key: str
-    json: Places  # As described
     dims: tuple[str, ...]  # Names of the dimensions
     values: NDArray[Any]  # Numbers, text or bool
     error: NDArray[np.float64] | None  # Uncertainty and sample size
@@ -170,20 +162,23 @@ class Quantity:
         if name not in data.variables:
             raise unknown_name("quantity", name, [str(one) for one in data.variables])
         variable = data[name]
-        told = variable.attrs
+        attrs = variable.attrs
         error, n = (data[f"{name}_{part}"].values if f"{name}_{part}" in data else None for part in ("error", "n"))
         return cls(
             name,
-            told.get("long_name", name),
-            told.get("units", ""),
-            told.get("format", ""),
-            told.get("key", name),
-            told.get("json", ""),
+            attrs.get("long_name", name),
+            attrs.get("units", ""),
+            attrs.get("format", ""),
             tuple(str(dim) for dim in variable.dims),
             variable.values,
             error,
             n,
         )
+
+    @property
+    def field(self) -> str:
+        """Name within its section."""
+        return self.name.rpartition(".")[2]
 
     @property
     def heading(self) -> str:
@@ -215,80 +210,57 @@ def names_of(data: xr.Dataset) -> list[str]:
 
 
 def to_results(data: xr.Dataset) -> dict[str, Any]:
-    """The ``results`` of ``summary.json``: every quantity at the place that its description names."""
-    out: dict[str, Any] = {}
+    """The ``results`` of ``summary.json``: SECTION -> FIELD -> unit, dimensions, value, uncertainty, sample size ``n``.
+
+    Values nest in the order of ``dims``: objects along a dimension with text coordinates, lists along others, whose
+    coordinates are `to_coordinates`. Of more than `IN_SUMMARY` values only the shape is given.
+    """
+    results: dict[str, Any] = {}
     for name in names_of(data):
-        one = Quantity.of(data, name)
-        parts = [(one.json, one)]
-        if one.error is not None and (apart := data[f"{name}_error"].attrs.get("json")):
-            plain = replace(one, error=None, n=None)
-            parts = [(one.json, plain), (apart, replace(plain, values=one.error))]
-        for json, whole in parts:
-            for place, part in _apart(json, whole, data):
-                out = _merged(out, _placed(place.split("."), part, data))
-    return out
+        quantity = Quantity.of(data, name)
+        section, _, field = name.rpartition(".")
+        results.setdefault(section, {})[field] = _record(quantity, data)
+    return results
 
 
-def _apart(json: Places, one: Quantity, data: xr.Dataset) -> list[tuple[str, Quantity]]:
-    """Parts of a quantity that have places of their own."""
-    if isinstance(json, str):
-        return [(json, one)] if json else []
-    dim = one.dims[0]
-    known = _keys(data, dim) or []
-    parts: list[tuple[str, Quantity]] = []
-    for key, places in json.items():
-        if key not in (WHOLE, *known):
-            raise unknown_name(f"{dim} of quantity {one.name!r}:", key, known)
-        part = one if key == WHOLE else one.at(**{dim: known.index(key)})
-        parts += [(place, part) for place in ([places] if isinstance(places, str) else places)]
-    return parts
+def to_coordinates(data: xr.Dataset) -> dict[str, Any]:
+    """The ``coordinates`` of ``summary.json``: dimension -> label, unit, values."""
+    axes = {str(dim): Quantity.of(data, str(dim)) for dim in data.dims if dim in data.coords}
+    return {dim: {"label": axis.label, "unit": axis.unit, "value": axis.values} for dim, axis in axes.items()}
 
 
-def _placed(path: Sequence[str], one: Quantity, data: xr.Dataset) -> dict[str, Any]:
-    """A quantity at its place, in nested records that hold nothing else."""
-    matched = re.fullmatch(r"(\w*)((?:\[\w+\])*)", path[0])
-    if matched is None or not path[0]:
-        raise ConfigError(f"quantity {one.name!r}: {path[0]!r} in json is not NAME, NAME[DIMENSION]... or [DIMENSION]")
-    dims = re.findall(r"\w+", matched[2])
-    for dim in dims:
-        if dim not in one.dims:
-            raise unknown_name(f"dimension of quantity {one.name!r}:", dim, one.dims)
-    if len(path) > 1:
-        spread = _spread(dims, one, data, lambda part: _placed(path[1:], part, data))
-    else:
-        dims += [dim for dim in one.dims if dim not in dims]
-        spread = _spread(dims, one, data, Quantity.scalar)
-    if matched[1]:
-        return {matched[1]: spread}
-    if not isinstance(spread, dict):
-        raise ConfigError(f"quantity {one.name!r}: {path[0]!r} in json stands for no records; put a name before it")
-    return spread
+def _record(quantity: Quantity, data: xr.Dataset) -> dict[str, Any]:
+    record: dict[str, Any] = {"unit": _unit_of(quantity, data)} if quantity.values.dtype.kind in "iuf" else {}
+    if quantity.dims:
+        record["dims"] = list(quantity.dims)
+    if quantity.values.size > IN_SUMMARY:
+        return record | {"shape": quantity.values.shape, "file": "results.nc"}
+    record["value"] = _nested(quantity.values, quantity.dims, data)
+    if quantity.error is not None:
+        record["uncertainty"] = _nested(quantity.error, quantity.dims, data)
+    if quantity.n is not None:
+        counts = np.unique(quantity.n)
+        record["n"] = counts[0] if counts.size == 1 else _nested(quantity.n, quantity.dims, data)
+    return record
 
 
-def _spread(dims: Sequence[str], one: Quantity, data: xr.Dataset, inner: Callable[[Quantity], Any]) -> Any:
-    """Records or lists along dimensions, with ``inner`` of each part in them."""
-    if not dims:
-        return inner(one)
-    keys = _keys(data, dims[0])
-    members = [one.at(**{dims[0]: n}) for n in range(data.sizes[dims[0]])]
-    if one.unit == f"{{{dims[0]}}}":
-        units = data.coords[f"{dims[0]}_unit"].values
-        members = [replace(member, unit=str(unit)) for member, unit in zip(members, units, strict=True)]
-    parts = [_spread(dims[1:], member, data, inner) for member in members]
-    return parts if keys is None else dict(zip(keys, parts, strict=True))
+def _unit_of(quantity: Quantity, data: xr.Dataset) -> Any:
+    """Unit, or the unit of each member along the dimension that has units of its own ("{DIMENSION}")."""
+    dim = quantity.unit[1:-1]
+    if quantity.unit != f"{{{dim}}}":
+        return quantity.unit
+    return dict(zip(_keys(data, dim) or (), data.coords[f"{dim}_unit"].values.tolist(), strict=True))
 
 
-def _merged(old: Any, new: Any) -> Any:
-    """Two nestings as one; where both have a value, the new one."""
-    if isinstance(old, dict) and isinstance(new, dict):
-        return old | {key: _merged(old.get(key), value) for key, value in new.items()}
-    if isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
-        return [_merged(*pair) for pair in zip(old, new, strict=True)]
-    return new
+def _nested(values: NDArray[Any], dims: Sequence[str], data: xr.Dataset) -> Any:
+    if not dims or not (keys := [_keys(data, dim) for dim in dims]) or not any(keys):
+        return values
+    members = [_nested(member, dims[1:], data) for member in values]
+    return members if keys[0] is None else dict(zip(keys[0], members, strict=True))
 
 
 def _keys(data: xr.Dataset, dim: str) -> list[str] | None:
-    """Keys of the records along a dimension; None for one of numbers or without coordinates, which makes a list."""
+    """Text coordinates of a dimension; None for numbers, and for a dimension without coordinates."""
     if dim not in data.coords or data.coords[dim].dtype.kind not in "UO":
         return None
     return [str(key) for key in data.coords[dim].values]
@@ -296,15 +268,34 @@ def _keys(data: xr.Dataset, dim: str) -> list[str] | None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """What tables, figures, criteria and the report of an experiment are made from."""
+    """What tables, figures, criteria and the report of an experiment are made from.
+
+    A quantity is named SECTION.FIELD, or FIELD alone: the field of ``section``, or of the only section that has it.
+    """
 
     config: Any  # Settings
     result: Any  # What ``run`` returned
     data: xr.Dataset  # Its quantities
+    section: str = ""  # Section whose figure or verdict this is given to
+
+    def name(self, name: str) -> str:
+        """SECTION.FIELD of a quantity; the name of a dimension as it is; "" where the result has no such quantity."""
+        if (own := f"{self.section}.{name}") in self.data.variables:
+            return own
+        if name in self.data.variables:
+            return name
+        matches = [full for full in names_of(self.data) if full.rpartition(".")[2] == name]
+        if len(matches) > 1:
+            raise DomainError(f"quantity {name!r} is in several sections: {', '.join(matches)}")
+        return matches[0] if matches else ""
+
+    def __contains__(self, name: str) -> bool:
+        return bool(self.name(name))
 
     def quantity(self, name: str, **at: Any) -> Quantity:
         """A quantity, or its part at some coordinates (``method="cog"``; a position where a dimension has none)."""
-        return Quantity.of(self.data, name).at(**{dim: self._position(name, dim, key) for dim, key in at.items()})
+        full = self.name(name) or name
+        return Quantity.of(self.data, full).at(**{dim: self._position(full, dim, key) for dim, key in at.items()})
 
     def values(self, name: str, **at: Any) -> NDArray[Any]:
         """Values of the quantity."""
@@ -312,16 +303,20 @@ class Outcome:
 
     def errors(self, name: str, **at: Any) -> NDArray[np.float64]:
         """Uncertainties of the quantity; NaN where it has none."""
-        one = self.quantity(name, **at)
-        return np.full(one.values.shape, np.nan) if one.error is None else one.error
+        quantity = self.quantity(name, **at)
+        return np.full(quantity.values.shape, np.nan) if quantity.error is None else quantity.error
 
     def value(self, name: str, **at: Any) -> Any:
         """A single value: `Measured` where it has an uncertainty, otherwise plain."""
         return self.quantity(name, **at).scalar()
 
+    def dims(self, name: str) -> tuple[str, ...]:
+        """Dimensions of the quantity."""
+        return self.quantity(name).dims
+
     def heading(self, name: str) -> str:
         """Label and unit of a quantity or a dimension, for the axis of a figure."""
-        return Quantity.of(self.data, name).heading
+        return self.quantity(name).heading
 
     def names(self, dim: str) -> list[str]:
         """Displayed names along a dimension."""

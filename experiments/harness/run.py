@@ -125,7 +125,7 @@ class ExperimentRun:
         from experiments.harness.tables import write_ecsv
 
         experiment, outcome = self.experiment, self.outcome
-        content = summary(experiment.name, outcome.config, experiment.results(outcome), self.criteria)
+        content = summary(experiment.name, outcome, self.criteria)
         content["config"] = without_paths(content["config"])
         (folder / "summary.json").write_text(dumps(content), encoding="utf-8")
         for name, table in experiment.make_tables(outcome, every=True).items():

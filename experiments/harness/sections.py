@@ -26,8 +26,9 @@ The module is light: figures are drawn, and matplotlib and xarray imported, when
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -66,9 +67,6 @@ def col(
     format: str = "",
     dims: str = "",
     *,
-    json: str | Mapping[str, Any] | None = None,
-    json_error: str | Mapping[str, Any] = "",
-    key: str | None = None,
     shown: bool = True,
     default: Any = ...,
 ) -> Any:
@@ -81,18 +79,12 @@ def col(
         the text of the report.
     dims : str
         Dimensions of the value, without that of the section; those with names were described by ``axes``.
-    json, json_error : str
-        Place in ``summary.json``, appended to that of the section (`Section.place`), and that of the uncertainty where
-        it stands apart; the name of the field by default, "" for none. As of `Quantities.add`.
-    key : str
-        Column name in ECSV files, if not the name of the field.
     shown : bool
         Whether the section's table shows it; the ECSV file has it anyway.
     default : object
         Value where a record does not give it; None leaves the quantity out.
     """
-    described = {"label": label, "unit": unit, "format": format, "dims": dims, "key": key}
-    metadata = {"col": described | {"json": json, "json_error": json_error}, "shown": shown}
+    metadata = {"col": {"label": label, "unit": unit, "format": format, "dims": dims}, "shown": shown}
     return field(metadata=metadata) if default is ... else field(metadata=metadata, default=default)
 
 
@@ -103,12 +95,6 @@ class Section:
     record: type  # Dataclass of `col` fields
     dim: str = ""  # Dimension of a sequence of records; "" for one record
     along: str = ""  # Field that gives the coordinates of ``dim``; 1, 2, 3 ... without it
-    # Prefix of the names of the quantities, where two sections share a record: with "level_" the field ``ratio`` is
-    # the quantity ``level_ratio`` of figures, verdicts and reports
-    prefix: str = ""
-    place: str = ""  # Place in ``summary.json``, e.g. "levels[level]"; "" for the top
-    # Field -> its place below ``place`` in this section, where that differs from what `col` says
-    json: Mapping[str, Any] = field(default_factory=dict)
     # ``axes(quantities, value)``: dimensions that only this section has, described from its records
     axes: Callable[[Quantities, Any], None] | None = None
     table: str = ""  # Name of its table and ECSV file, if not that of the section; none without a caption
@@ -131,88 +117,73 @@ class Section:
 
     def columns_of(self) -> dict[str, Mapping[str, Any]]:
         """Fields of the record that are quantities -> their `col` descriptions."""
-        return {one.name: one.metadata for one in fields(self.record) if "col" in one.metadata}
+        return {member.name: member.metadata for member in fields(self.record) if "col" in member.metadata}
 
-    def describe(self, q: Quantities, value: Any) -> None:
-        """Add the record, or the records along ``dim``, to the quantities; None adds nothing."""
+    def describe(self, q: Quantities, section: str, value: Any) -> None:
+        """Add the record, or the records along ``dim``, to the quantities as ``section.FIELD``; None adds nothing."""
         if value is None:
             return
         if self.axes is not None:
             self.axes(q, value)
         records = list(value) if self.dim else [value]
-        described = self.columns_of()
+        columns = self.columns_of()
         if self.dim and self.dim not in q.coordinates:
-            head = described[self.along]["col"] if self.along else {"label": self.dim.replace("_", " ").capitalize()}
-            values = [getattr(one, self.along) for one in records] if self.along else np.arange(len(records)) + 1
-            parts = {part: head.get(part) or "" for part in ("label", "unit", "format")}
-            q.axis(self.dim, values, **parts, key=(head.get("key") or self.along))
-        for name, metadata in described.items():
-            values = [getattr(one, name) for one in records]
-            if not records or all(one is None for one in values) or self.prefix + name == self.dim:
+            head = columns[self.along]["col"] if self.along else {"label": self.dim.replace("_", " ").capitalize()}
+            values = [getattr(record, self.along) for record in records] if self.along else np.arange(len(records)) + 1
+            q.axis(self.dim, values, **{part: head.get(part) or "" for part in ("label", "unit", "format")})
+        for name, metadata in columns.items():
+            values = [getattr(record, name) for record in records]
+            if not records or all(value is None for value in values):
                 continue
-            own = dict(metadata["col"])
-            place, place_of_error, dims = own.pop("json"), own.pop("json_error"), own.pop("dims")
-            place = self.json.get(name, place)
-            place_of_error = "" if self.json.get(name) == "" else place_of_error  # hidden by this section
+            col = metadata["col"]
             q.add(
-                self.prefix + name,
+                f"{section}.{name}",
                 values if self.dim else values[0],
-                own.pop("label"),
-                dims=f"{self.dim} {dims}".strip(),
-                key=own.pop("key") or name,
-                json=self._placed(name if place is None else place),
-                json_error=self._placed(place_of_error),
-                **own,
+                col["label"],
+                unit=col["unit"],
+                format=col["format"],
+                dims=f"{self.dim} {col['dims']}".strip(),
             )
 
-    def _placed(self, place: Any) -> Any:
-        if not self.place or not place:
-            return place
-        if isinstance(place, Mapping):
-            return {key: self._placed(one) for key, one in place.items()}
-        return f"{self.place}.{place}" if isinstance(place, str) else [f"{self.place}.{one}" for one in place]
-
-    def table_of(self, data: Any, *, every: bool = False) -> Pivot | Table:
+    def table_of(self, outcome: Outcome, *, every: bool = False) -> Pivot | Table:
         """Its table: the shown columns, or every column that has no further dimensions (for the ECSV file)."""
+        columns = self.columns_of()
+        shown = self.columns.split() or [name for name, metadata in columns.items() if metadata["shown"]]
         if self.vertical:
-            return self._vertical(data, every=every)
-        described = self.columns_of()
-        shown = self.columns.split() or [name for name, metadata in described.items() if metadata["shown"]]
-        there = [one for one in (self.prefix + name if name in described else name for name in shown) if one in data]
+            return self._vertical(outcome, list(dict.fromkeys((*shown, *columns))) if every else shown, every=every)
         if not self.rows:
-            there = [name for name in there if name != self.prefix + self.along]
-        dims = [str(dim) for name in there for dim in data[name].dims]
+            shown = [name for name in shown if name != self.along]
+        dims = [dim for name in shown if name in outcome for dim in outcome.dims(name)]
         rows = self.rows.split() or [dim for dim in (self.dim, *dims) if dim and dim not in self.across.split()]
         if every:
             runs = {*rows, *self.across.split(), *self.where}
-            own = [self.prefix + name for name in described if name != self.along]
-            there += [one for one in own if one in data and one not in there and {*map(str, data[one].dims)} <= runs]
+            others = [name for name in columns if name != self.along and name in outcome]
+            shown += [name for name in others if name not in shown and {*outcome.dims(name)} <= runs]
         return Pivot(
-            columns=" ".join(there),
+            columns=" ".join(outcome.name(name) for name in shown if name in outcome),
             rows=" ".join(dict.fromkeys(rows)),
             across=self.across,
             hidden=self.hidden,
             where=self.where,
+            section=outcome.section,
+            coordinates={self.dim: self.along} if self.along else {},
             caption=self.caption,
             note=self.note,
         )
 
-    def _vertical(self, data: Any, *, every: bool) -> Table:
-        described = self.columns_of()
-        names = self.columns.split() or [name for name, metadata in described.items() if metadata["shown"]]
-        names = list(dict.fromkeys((*names, *described))) if every else names
-        names = [self.prefix + name for name in names if name != self.dim]
-        there = [Quantity.of(data, name) for name in names if name in data]
-        keys = data[f"{self.dim}_label" if f"{self.dim}_label" in data else self.dim].values if self.dim else ["Value"]
-        heads = [Column(name=str(one), key=f"{self.dim}_{n}" if self.dim else "") for n, one in enumerate(keys, 1)]
+    def _vertical(self, outcome: Outcome, names: Sequence[str], *, every: bool) -> Table:
+        """One row per quantity, one column per record."""
+        heads = outcome.names(self.dim) if self.dim else ["Value"]
+        columns = [Column(name=head, key=f"{self.dim}_{n}" if self.dim else "") for n, head in enumerate(heads, 1)]
         rows = []
-        for one in there:
-            if one.dims != ((self.dim,) if self.dim else ()):
+        for quantity in (outcome.quantity(name) for name in names if name in outcome and name != self.dim):
+            if quantity.dims != ((self.dim,) if self.dim else ()):
                 continue
-            values = [one.at(**{self.dim: n}).scalar() for n in range(len(keys))] if self.dim else [one.scalar()]
-            shown = values if every else [cell_text(value, one.format) for value in values]
-            rows.append((one.label, *shown, shown_unit(one.unit), one.name))
-        return Table(columns=("Quantity", *heads, "Unit", "Name"), rows=rows, caption=self.caption, note=self.note)
+            members = [quantity.at(**{self.dim: n}) for n in range(len(heads))] if self.dim else [quantity]
+            values = [member.scalar() for member in members]
+            cells = values if every else [cell_text(value, quantity.format) for value in values]
+            rows.append((quantity.label, *cells, shown_unit(quantity.unit), quantity.field))
+        return Table(columns=("Quantity", *columns, "Unit", "Name"), rows=rows, caption=self.caption, note=self.note)
 
 
 def described(sections: Mapping[str, Section], q: Quantities, result: Mapping[str, Any]) -> Quantities:
@@ -221,39 +192,50 @@ def described(sections: Mapping[str, Section], q: Quantities, result: Mapping[st
     if unknown:
         raise DomainError(f"no section is declared for {', '.join(sorted(unknown))}")
     for name, section in sections.items():
-        section.describe(q, result.get(name))
+        section.describe(q, name, result.get(name))
     return q
 
 
 def numbers_of(*records: Any) -> dict[str, Quantity]:
-    """Single numbers of records, by name."""
-    known: dict[str, Quantity] = {}
-    for one in records:
-        for name, metadata in Section(record=type(one)).columns_of().items():
-            said, value = metadata["col"], np.asarray(getattr(one, name))
-            if not said["dims"]:
-                known[name] = Quantity(
-                    name, said["label"] or name, said["unit"], said["format"], name, name, (), value, None, None
-                )
-    return {name: one for name, one in known.items() if one.values.dtype.kind in "if"}
+    """Single numbers of records, by field."""
+    numbers: dict[str, Quantity] = {}
+    for record in records:
+        for name, metadata in Section(record=type(record)).columns_of().items():
+            col, value = metadata["col"], np.asarray(getattr(record, name))
+            if not col["dims"]:
+                numbers[name] = Quantity(name, col["label"] or name, col["unit"], col["format"], (), value, None, None)
+    return {name: number for name, number in numbers.items() if number.values.dtype.kind in "if"}
 
 
 def single_numbers(data: Any) -> dict[str, Quantity]:
-    """Quantities of a Dataset without dimensions that are numbers, by name."""
-    known = {name: Quantity.of(data, name) for name in names_of(data) if not data[name].dims}
-    return {name: one for name, one in known.items() if one.values.dtype.kind in "if"}
+    """Numbers without dimensions, by FIELD; by SECTION_FIELD where several sections have that field."""
+    numbers = [Quantity.of(data, name) for name in names_of(data) if not data[name].dims]
+    count = Counter(number.field for number in numbers)
+    return {
+        number.field if count[number.field] == 1 else number.name.replace(".", "_"): number
+        for number in numbers
+        if number.values.dtype.kind in "if"
+    }
 
 
 def tabulated(sections: Mapping[str, Section], outcome: Outcome, *, every: bool = False) -> dict[str, Pivot | Table]:
     """Tables of the sections that have one; with ``every`` all their columns."""
-    there = {one.table_name(name): one for name, one in sections.items() if outcome.result.get(name) is not None}
-    return {name: section.table_of(outcome.data, every=every) for name, section in there.items() if name}
+    return {
+        table: section.table_of(replace(outcome, section=name), every=every)
+        for name, section in sections.items()
+        if outcome.result.get(name) is not None and (table := section.table_name(name))
+    }
 
 
 def judged(sections: Mapping[str, Section], outcome: Outcome) -> list[Criterion]:
     """Criteria of all sections whose question was put."""
-    there = [one for name, one in sections.items() if outcome.result.get(name) is not None]
-    return [criterion for section in there for verdict in section.verdicts for criterion in verdict(outcome)]
+    return [
+        criterion
+        for name, section in sections.items()
+        if outcome.result.get(name) is not None
+        for verdict in section.verdicts
+        for criterion in verdict(replace(outcome, section=name))
+    ]
 
 
 def two_sided_limit(count: int, false_alarm: float = FALSE_ALARM) -> float:
@@ -493,7 +475,7 @@ def _parts(
     outcome: Outcome, name: str, each: str, at: Mapping[str, Any] | None
 ) -> Iterator[tuple[Quantity, str, dict[str, int]]]:
     """Parts of a quantity that are judged by themselves, what readers call them, where they are; none if it is not."""
-    if name not in outcome.data:
+    if name not in outcome:
         return
     fixed: dict[str, int] = {}
     for dim, key in (at or {}).items():

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 IN_TABLE = 5
 """Number of swept quantities in the table of the terminal, two fewer where there are requirements; the ECSV file has
 all of them."""
-PLACES = ("first", "second")
 FINE = 120
 """Points along each side of a map that its lines are drawn with."""
 MISSED, NOW = "#d55e00", "#8a9099"
@@ -41,12 +40,12 @@ MISSED, NOW = "#d55e00", "#8a9099"
 class Requirement:
     """A number against its requirement."""
 
-    label: str = col("Requirement", json="")
-    key: str = col("Key", json="")
+    label: str = col("Requirement")
+    key: str = col("Key")
     required: float = col("Required", format="g")
     predicted: float = col("Predicted", format=".4g")  # NaN where nothing could be predicted
-    unit: str = col("Unit", json="")
-    margin: str = col("Margin", json="")
+    unit: str = col("Unit")
+    margin: str = col("Margin")
     met: bool = col("Met")
     at_least: bool
     excess: float  # How much better than required: relative, for magnitudes the difference; negative where missed
@@ -118,7 +117,6 @@ REQUIREMENTS = Section(
     record=Requirement,
     dim="requirement",
     axes=_requirement_axis,
-    prefix="requirement_",
     table="requirements",
     rows="requirement",
     hidden="requirement",
@@ -136,6 +134,11 @@ class _Key:
     unit: str
     values: tuple[float, ...]
     now: float | None  # Value of the sensor as it is; None where its file leaves that open
+
+    @property
+    def field(self) -> str:
+        """Field of the points that holds the value of the key."""
+        return self.key.replace(".", "_")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -156,12 +159,12 @@ class _Point:
 class Swept:
     """The sweep, and its answer."""
 
-    answer: str = col("Answer", json="answer")
-    sensor: str = col("Sensor", json="")
-    words: str = col("Range", json="")
-    first: str = col("Key", json="keys.first")
-    second: str | None = col("Second key", json="keys.second", default=None)
-    left_out: str = col("Requirements without a prediction", json="")
+    answer: str = col("Answer")
+    sensor: str = col("Sensor")
+    words: str = col("Range")
+    first: str = col("Key")
+    second: str | None = col("Second key", default=None)
+    left_out: str = col("Requirements without a prediction")
     keys: tuple[_Key, ...]
     points: tuple[_Point, ...]
     shown: tuple[str, ...]  # Quantities of the figures
@@ -182,10 +185,10 @@ class Swept:
 class Crossing:
     """Where a requirement begins or ceases to be met, to `NEAR` of the step between two values of the swept key."""
 
-    label: str = col("Requirement", json="")
+    label: str = col("Requirement")
     requirement: str = col("Key")
     at: float = col("Crossed at", format=".4g")
-    met: str = col("Met", json="")
+    met: str = col("Met")
 
 
 def run_sweep(declared: Experiment, config: Any, *, progress: Progress) -> dict[str, Any]:
@@ -283,15 +286,15 @@ def _answer(declared: Experiment, keys: Sequence[_Key], points: Sequence[_Point]
 
 def _rows(declared: Experiment, swept: Swept, numbers: Mapping[str, Quantity]) -> list[Any]:
     """Points as records whose fields are the swept keys and every number of the prediction."""
+    swept_fields = [key.field for key in swept.keys]
+    numbers = {name: number for name, number in numbers.items() if name not in swept_fields}
     in_table = [name for name in declared.swept if name in numbers][: IN_TABLE - 2 * bool(swept.required)]
-    places = PLACES[: len(swept.keys)]
-    fields: list[Any] = []
-    for place, key in zip(places, swept.keys, strict=True):
-        column = col(f"{key.label[0].upper()}{key.label[1:]}", key.unit, ".5g", key=key.key.replace(".", "_"))
-        fields.append((place, float, column))
+    fields: list[Any] = [
+        (key.field, float, col(f"{key.label[0].upper()}{key.label[1:]}", key.unit, ".5g")) for key in swept.keys
+    ]
     for name in dict.fromkeys((*in_table, *numbers)):
-        one = numbers[name]
-        fields.append((name, float, col(one.label, one.unit, one.format, shown=name in in_table)))
+        number = numbers[name]
+        fields.append((name, float, col(number.label, number.unit, number.format, shown=name in in_table)))
     fields.append(("meets", bool, col("Meets", shown=False)))
     fields.append(("misses", str, col("Misses", shown=bool(swept.required))))
     fields.append(("refusal", str, col("Refused", shown=False)))
@@ -301,7 +304,7 @@ def _rows(declared: Experiment, swept: Swept, numbers: Mapping[str, Quantity]) -
     for point in swept.points:
         values = nothing | {name: float(one.values) for name, one in point.numbers.items() if name in numbers}
         missed = ", ".join(one.key for one in point.requirements if not one.met)
-        at = dict(zip(places, point.at, strict=True))
+        at = dict(zip(swept_fields, point.at, strict=True))
         rows.append(record(**at, **values, meets=point.met, misses=missed, refusal=point.refusal))
     return rows
 
@@ -341,8 +344,8 @@ def _draw_sweep(outcome: Outcome) -> Figure:
     for panel, name in zip(panels, swept.shown, strict=False):
         (_map if two else _curve)(figure, panel, outcome, swept, name)
         panel.set_title(outcome.quantity(name).heading)
-        for which, key, place in zip("xy", swept.keys, PLACES, strict=False):
-            panel.set(**{f"{which}label": outcome.quantity(place).heading})
+        for which, key in zip("xy", swept.keys, strict=False):
+            panel.set(**{f"{which}label": outcome.heading(key.field)})
             spaced_axis(panel, which, key.values)  # type: ignore[arg-type]
     return figure
 
@@ -407,11 +410,10 @@ def _required(panel: Any, required: float, at_least: bool, values: FloatArray) -
 def sweep_sections(result: Mapping[str, Any]) -> dict[str, Section]:
     """Sections of a sweep; the columns of its points are the numbers of the prediction."""
     return {
-        "swept": Section(record=Swept, prefix="key_"),
+        "swept": Section(record=Swept),
         "points": Section(
             record=type(result["points"][0]),
             dim="point",
-            place="points[point]",
             table="sweep",
             rows="point",
             hidden="point",
@@ -421,8 +423,6 @@ def sweep_sections(result: Mapping[str, Any]) -> dict[str, Section]:
         "crossings": Section(
             record=Crossing,
             dim="crossing",
-            place="crossings[crossing]",
-            prefix="crossing_",
             rows="crossing",
             hidden="crossing",
             caption="Values at which a requirement changes between met and missed.",
@@ -435,15 +435,15 @@ class Difference:
     """A key of the configuration in which the sensors differ."""
 
     key: str = col("Key")
-    value: Sequence[str] = col("Value", dims="sensor", json="")
+    value: Sequence[str] = col("Value", dims="sensor")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Compared:
     """Performance of each sensor against a requirement of its own file."""
 
-    label: str = col("Requirement", json="")
-    verdict: Sequence[str] = col("Verdict", dims="sensor", json="")
+    label: str = col("Requirement")
+    verdict: Sequence[str] = col("Verdict", dims="sensor")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -525,7 +525,7 @@ def _draw_curves(outcome: Outcome) -> Figure:
     from experiments.harness.plotting import PALETTE, log_ticks, new_figure
 
     drawn: _Curves = outcome.result["curves"]
-    names = [name for name in drawn.names if all(name in one.data for one in drawn.outcomes)]
+    names = [name for name in drawn.names if all(name in one for one in drawn.outcomes)]
     figure, axes = new_figure(1, len(names), aspect_ratio=0.42, squeeze=False)
     for panel, name in zip(axes[0], names, strict=True):
         for one, sensor, colour in zip(drawn.outcomes, drawn.sensors, PALETTE, strict=False):
@@ -555,7 +555,6 @@ def comparison_sections(result: Mapping[str, Any]) -> dict[str, Section]:
             record=type(result["sensors"][0]),
             dim="sensor",
             along="sensor",
-            place="sensors[sensor]",
             vertical=True,
             caption="Predictions for all sensors.",
         ),

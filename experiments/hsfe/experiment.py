@@ -57,48 +57,38 @@ class Test:
     subtraction: str = col("Subtraction")
     pixel_arcsec: float = col("Angle of a pixel", "arcsec")
     signal_e: float = col("Signal", "e-", ".0f")
-    magnitude_mag: float = col("V magnitude of the signal", "mag", ".2f", json="signal_magnitude_mag")
+    magnitude_mag: float = col("V magnitude of the signal", "mag", ".2f")
     signal_star: str = col("Star")
-    hsfe_arcsec: Axes = col("HSFE as printed", "arcsec", dims="axis", json="hsfe_arcsec_3sigma")
-    published_arcsec: Sequence[float] | None = col(
-        "Published", "arcsec", ".2f", "axis", json="published_arcsec_3sigma", default=None
-    )
+    hsfe_arcsec: Axes = col("HSFE as printed", "arcsec", dims="axis")
+    published_arcsec: Sequence[float] | None = col("Published", "arcsec", ".2f", "axis", default=None)
     # True motion of the light in the steps without the mean over the stars: roll and distortion
-    motion_px: FloatArray = col("Residual motion", "px", ".5f", "axis", json="motion_left_px")
-    residual_arcsec: FloatArray = col("Residuals of the steps", "arcsec", ".3f", "step star axis", json="")
+    motion_px: FloatArray = col("Residual motion", "px", ".5f", "axis")
+    residual_arcsec: FloatArray = col("Residuals of the steps", "arcsec", ".3f", "step star axis")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Steps:
     """High spatial frequency error (3 sigma) of a centroider."""
 
-    document_arcsec: Axes = col("HSFE of ACC18", "arcsec", ".3f", "axis", json="document")
-    predicted_arcsec: Axes = col(
-        "HSFE predicted", "arcsec", ".3f", "axis", json="document_predicted", json_error="document_predicted_scatter"
-    )
+    document_arcsec: Axes = col("HSFE of ACC18", "arcsec", ".3f", "axis")
+    predicted_arcsec: Axes = col("HSFE predicted", "arcsec", ".3f", "axis")
     ratio: Axes = col("Measured / predicted", "", ".3f", "axis")
-    halved_arcsec: FloatArray = col("HSFE / √2", "arcsec", ".3f", "axis", json="one_position_if_independent")
-    one_position_arcsec: FloatArray = col("Single position", "arcsec", ".3f", "axis", json="one_position")
-    one_position_predicted_arcsec: FloatArray = col(
-        "Single position, predicted", "arcsec", ".3f", "axis", json="one_position_predicted"
-    )
-    one_position_ratio: Axes = col("One position, ratio", "", ".3f", "axis", json="", shown=False)
+    halved_arcsec: FloatArray = col("HSFE / √2", "arcsec", ".3f", "axis")
+    one_position_arcsec: FloatArray = col("Single position", "arcsec", ".3f", "axis")
+    one_position_predicted_arcsec: FloatArray = col("Single position, predicted", "arcsec", ".3f", "axis")
+    one_position_ratio: Axes = col("One position, ratio", "", ".3f", "axis", shown=False)
     predicted_before_arcsec: Axes = col(
         "Predicted before the test",
         "arcsec",
         ".3f",
         "axis",
-        json="document_predicted_before",
-        json_error="document_predicted_before_scatter",
         shown=False,
     )
     # Shown, not judged: one large step error of the hexapod moves it further than any normal deviate would
-    ratio_before: Axes = col("Ratio to the prediction before the test", "", ".3f", "axis", json="", shown=False)
-    dark_arcsec: FloatArray = col(
-        "Noise of the dark frames", "arcsec", ".3f", "axis", json="dark_frames_in_document", shown=False
-    )
-    roll_arcsec: FloatArray = col("Roll of the hexapod", "arcsec", ".3f", "axis", json="roll_in_document", shown=False)
-    quadrature_arcsec: FloatArray = col("Parts in quadrature", "arcsec", ".3f", "axis", json="quadrature", shown=False)
+    ratio_before: Axes = col("Ratio to the prediction before the test", "", ".3f", "axis", shown=False)
+    dark_arcsec: FloatArray = col("Noise of the dark frames", "arcsec", ".3f", "axis", shown=False)
+    roll_arcsec: FloatArray = col("Roll of the hexapod", "arcsec", ".3f", "axis", shown=False)
+    quadrature_arcsec: FloatArray = col("Parts in quadrature", "arcsec", ".3f", "axis", shown=False)
 
 
 def steps(seen: HighFrequencyMeasurement, before: StepPrediction, after: StepPrediction, method: str) -> Steps:
@@ -139,40 +129,26 @@ CAUSE_NAMES = {
     "defects": "masked defects",
     "temporal": "temporal noise / √N",
 }
-PLACE = "methods_arcsec_3sigma[method]"
-
-
-def places(name: str, **others: str) -> dict[str, str]:
-    """Places of a part in ``summary.json``, cause by cause."""
-    return {cause: f"{PLACE}.causes.{cause}.{name}" for cause in CAUSES} | others
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cause:
     """Part of a cause (3 sigma): in the number of ACC18, and in the error of one position."""
 
-    alone_arcsec: FloatArray = col(
-        "Alone", "arcsec", ".4f", "method axis", json=places("alone", temporal=f"{PLACE}.temporal_in_document")
-    )
-    off_arcsec: FloatArray = col("Switched off", "arcsec", ".4f", "method axis", json=places("switched_off"))
-    cause_predicted_arcsec: FloatArray = col(
-        "Predicted", "arcsec", ".4f", "method axis", json=places("predicted"), key="predicted_arcsec"
-    )
+    alone_arcsec: FloatArray = col("Alone", "arcsec", ".4f", "method axis")
+    off_arcsec: FloatArray = col("Switched off", "arcsec", ".4f", "method axis")
+    cause_predicted_arcsec: FloatArray = col("Predicted", "arcsec", ".4f", "method axis")
     alone_position_arcsec: FloatArray = col(
         "Alone, one position",
         "arcsec",
         ".4f",
         "method axis",
-        json=places("one_position_alone"),
-        key="one_position_arcsec",
     )
     position_predicted_arcsec: FloatArray = col(
         "Predicted",
         "arcsec",
         ".4f",
         "method axis",
-        json=places("one_position_predicted"),
-        key="one_position_predicted_arcsec",
     )
 
 
@@ -204,16 +180,16 @@ def causes(seen: HighFrequencyMeasurement, after: HighFrequencyPrediction, metho
 class Curves:
     """S-curves: error of noiseless centroids of the middle star across a pixel, mean over the phase along rows."""
 
-    phase_px: FloatArray = col("Position of the star in its pixel", "px", dims="phase", json="")
-    s_curve_px: FloatArray = col("Centroid − truth", "px", "", "method phase", json="")
+    phase_px: FloatArray = col("Position of the star in its pixel", "px", dims="phase")
+    s_curve_px: FloatArray = col("Centroid − truth", "px", "", "method phase")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Residuals:
     """Residuals of eq. 7-8, first centroider, and of the light itself."""
 
-    residual_px: FloatArray = col("Residual", "px", "", "star axis", json="", key="residual_{axis}_px")
-    true_px: FloatArray = col("True", "px", "", "star axis", json="", key="true_{axis}_px")
+    residual_px: FloatArray = col("Residual", "px", "", "star axis")
+    true_px: FloatArray = col("True", "px", "", "star axis")
 
 
 PHASES = 101
@@ -303,7 +279,6 @@ SECTIONS = {
     "steps": Section(
         record=Steps,
         dim="method",
-        place=PLACE,
         table="hsfe",
         rows="method axis",
         caption="HSFE (3 σ) of one star.",

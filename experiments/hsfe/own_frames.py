@@ -26,28 +26,21 @@ from experiments.reduce.series import SeriesFrames, reduce_series
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
-INTERVAL = "interval_arcsec_3sigma[method][axis]"
-SINGLE = "single_position_arcsec_3sigma[method][axis]"
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Steps:
     """High spatial frequency error (3 sigma) by method and axis."""
 
-    hsfe_arcsec: Sequence[Sequence[Measured]] = col(
-        "As printed", "arcsec", dims="method axis", json="hsfe_arcsec_3sigma"
-    )
-    low_arcsec: FloatArray = col("95 % from", "arcsec", dims="method axis", json=f"{INTERVAL}.low")
-    high_arcsec: FloatArray = col("to", "arcsec", dims="method axis", json=f"{INTERVAL}.high")
-    single_text: Sequence[Sequence[str]] = col(
-        "Single position", "arcsec", "", "method axis", json=f"{SINGLE}.said", key="single_said"
-    )
-    single_estimate_arcsec: FloatArray = col("Estimate", "arcsec", ".4f", "method axis", json=f"{SINGLE}.estimate")
-    single_low_arcsec: FloatArray = col("from", "arcsec", ".4f", "method axis", json=f"{SINGLE}.low")
-    single_high_arcsec: FloatArray = col("to", "arcsec", ".4f", "method axis", json=f"{SINGLE}.high")
-    single_upper_arcsec: FloatArray = col("at most", "arcsec", ".4f", "method axis", json=f"{SINGLE}.upper")
-    single_degrees: FloatArray = col("Degrees of freedom", "", ".0f", "method axis", json="")
-    residual_arcsec: FloatArray = col("Residual of a step", "arcsec", ".3f", "step point axis", json="")
+    hsfe_arcsec: Sequence[Sequence[Measured]] = col("As printed", "arcsec", dims="method axis")
+    low_arcsec: FloatArray = col("95 % from", "arcsec", dims="method axis")
+    high_arcsec: FloatArray = col("to", "arcsec", dims="method axis")
+    single_text: Sequence[Sequence[str]] = col("Single position", "arcsec", "", "method axis")
+    single_estimate_arcsec: FloatArray = col("Estimate", "arcsec", ".4f", "method axis")
+    single_low_arcsec: FloatArray = col("from", "arcsec", ".4f", "method axis")
+    single_high_arcsec: FloatArray = col("to", "arcsec", ".4f", "method axis")
+    single_upper_arcsec: FloatArray = col("at most", "arcsec", ".4f", "method axis")
+    single_degrees: FloatArray = col("Degrees of freedom", "", ".0f", "method axis")
+    residual_arcsec: FloatArray = col("Residual of a step", "arcsec", ".3f", "step point axis")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,15 +48,15 @@ class Order:
     """Two interchanged positions."""
 
     said: Sequence[str]  # In words
-    misplaced: int = col("Pairs of positions that are exchanged", json="")
+    misplaced: int = col("Pairs of positions that are exchanged")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Position:
     """Shift of the whole image since the first position."""
 
-    seen_px: FloatArray = col("Measured", "px", ".4f", "axis", json="common_shift_px", key="seen_{axis}_px")
-    commanded_px: FloatArray = col("Commanded", "px", ".4f", "axis", json="", key="commanded_{axis}_px")
+    seen_px: FloatArray = col("Measured", "px", ".4f", "axis")
+    commanded_px: FloatArray = col("Commanded", "px", ".4f", "axis")
 
 
 def interval_text(error: PositionError, axis: int, scale: float) -> str:

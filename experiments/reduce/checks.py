@@ -62,34 +62,34 @@ SHOWN = 3
 class FrameChecks:
     """All series of a folder together; None for a check without enough frames, points or light."""
 
-    stated_gain: float = col("Gain, stated", "DN/e-", json="gain_dn_per_e.stated")
-    transfer_gain: Measured | None = col("Gain, photon transfer", "DN/e-", json="gain_dn_per_e.photon_transfer")
-    gain_ratio: Measured | None = col("Gain by photon transfer over stated gain", json="")  # None where it says nothing
+    stated_gain: float = col("Gain, stated", "DN/e-")
+    transfer_gain: Measured | None = col("Gain, photon transfer", "DN/e-")
+    gain_ratio: Measured | None = col("Gain by photon transfer over stated gain")  # None where it says nothing
     noise_ratio: Measured | None = col("Scatter over noise model")
     # The most significant of all series against its limit each, None where no series has points or frames enough
     findings: Mapping[str, FrameStatistic | None]  # Of motion, moved, light, lag, shared
     common_motion_px: float | None = col("Common motion", "px", ".4f")
-    motion_limit_px: float | None = col("Tolerated common motion", "px", ".4f", json="")
+    motion_limit_px: float | None = col("Tolerated common motion", "px", ".4f")
     moved_px: float | None = col("Jump or drift of the target", "px", ".4f")
-    moved_limit_px: float | None = col("Jump or drift expected from noise", "px", ".4f", json="")
+    moved_limit_px: float | None = col("Jump or drift expected from noise", "px", ".4f")
     light_change: float | None = col("Jump or drift of the light")
-    light_limit: float | None = col("Tolerated jump or drift of the light", json="")
+    light_limit: float | None = col("Tolerated jump or drift of the light")
     lag_correlation: float | None = col("Correlation of a frame with the next one")
-    lag_limit: float | None = col("Correlation expected from white noise", json="")
+    lag_limit: float | None = col("Correlation expected from white noise")
     shared_noise: float | None = col("Correlation of the noise of two frames")
-    shared_limit: float | None = col("Tolerated correlation of the noise of two frames", json="")
+    shared_limit: float | None = col("Tolerated correlation of the noise of two frames")
     disorder: Sequence[str]  # "FILE after FILE", of frames that were taken before the one that they follow
-    disordered: int = col("Frames out of the order of exposure", json="")
+    disordered: int = col("Frames out of the order of exposure")
     frames: int  # Of all series
     copied: Sequence[str]  # "FILE = FILE", of frames that equal an earlier one of the folder
-    copies: int = col("Frames identical to another frame", json="")
-    step_dn: int = col("Largest number that divides all differences of readings", "DN", json="")
-    top_dn: int = col("Highest reading", "DN", json="")
-    top_count: int = col("Pixels at the highest reading", json="")
-    top_limit: int = col("Pixels at the highest reading expected by chance", json="")
-    zero_fraction: float = col("Share of readings of 0", json="")
+    copies: int = col("Frames identical to another frame")
+    step_dn: int = col("Largest number that divides all differences of readings", "DN")
+    top_dn: int = col("Highest reading", "DN")
+    top_count: int = col("Pixels at the highest reading")
+    top_limit: int = col("Pixels at the highest reading expected by chance")
+    zero_fraction: float = col("Share of readings of 0")
     flat_pattern: tuple[float, float]  # Response from pixel to pixel that the flat shows, and its noise
-    flat_noise: float | None = col("Noise of the mean flat over its pattern", json="")
+    flat_noise: float | None = col("Noise of the mean flat over its pattern")
 
 
 def check_frames(folder: FrameFolder, reduced: Sequence[SeriesFrames], method: str) -> FrameChecks:

@@ -132,15 +132,11 @@ class Folder:
     frame_size_px: Sequence[int] = col("Size of a frame", "px", dims="side")
     pixel_arcsec: float = col("Angle of a pixel", "arcsec")
     fewest_frames: int = col("Frames of the shortest series")
-    few_text: str = col("Remarks on the frames", json="few_frames", shown=False)  # "" where they are enough
-    prnu_fraction: float = col("Stated residual PRNU", json="")
+    few_text: str = col("Remarks on the frames", shown=False)  # "" where they are enough
+    prnu_fraction: float = col("Stated residual PRNU")
     # Without flats
-    percent_px: float | None = col(
-        "Shift by a PRNU of 1 %", "px", ".4f", json="without_flat.one_percent_moves_px", default=None
-    )
-    percent_over_noise: float | None = col(
-        "Over the noise of a mean", format=".2f", json="without_flat.over_noise_of_mean", default=None
-    )
+    percent_px: float | None = col("Shift by a PRNU of 1 %", "px", ".4f", default=None)
+    percent_over_noise: float | None = col("Over the noise of a mean", format=".2f", default=None)
 
 
 ENOUGH = 30
@@ -194,7 +190,7 @@ def _axes(q: Quantities, folder: Folder) -> None:
 class Series:
     """A series as centroided."""
 
-    series_name: str = col("Name", json="name", shown=False)
+    series_name: str = col("Name", shown=False)
     frames: int = col("Frames")
     effective_frames: float = col("Independent", format=".1f")
     signal_e: float = col("Signal", "e-", ".0f")
@@ -206,7 +202,6 @@ COMMON = {
     "series": Section(
         record=Series,
         dim="series",
-        place="series[series]",
         caption="Frames, equivalent independent frames, mean electrons in a window, smallest fraction of "
         "frames with a position.",
         verdicts=[
@@ -226,15 +221,15 @@ COMMON = {
 class TargetPoint:
     """A target point in the last series, first centroider."""
 
-    mean_px: FloatArray = col("Mean", "px", ".4f", "axis", json="", key="mean_{axis}_px")
-    sigma_px: FloatArray = col("σ", "px", ".4f", "axis", json="", key="sigma_{axis}_px")
+    mean_px: FloatArray = col("Mean", "px", ".4f", "axis")
+    sigma_px: FloatArray = col("σ", "px", ".4f", "axis")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cloud:
     """Centroids of the last series about the mean of each point, first centroider."""
 
-    apart_arcsec: FloatArray = col("Centroids about their mean", "arcsec", dims="frame point axis", json="")
+    apart_arcsec: FloatArray = col("Centroids about their mean", "arcsec", dims="frame point axis")
 
 
 def points_of(folder: FrameFolder, series: SeriesFrames, method: str) -> dict[str, Any]:

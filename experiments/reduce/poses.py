@@ -122,7 +122,7 @@ class PoseFit:
 
     misfit: str  # In words
     flat: bool  # Whether the response of the pixels is known
-    fit_ratio: Measured = col("Mean square of the residuals over its prediction", json="")
+    fit_ratio: Measured = col("Mean square of the residuals over its prediction")
     coverage: float = col("Fraction of the detector covered", format=".2f")
     # 1 where the covariance, which is of first order, describes the errors
     chi2_rise: float = col("Rise of χ² at one σ along the least determined direction", "", ".2f", shown=False)

@@ -55,27 +55,27 @@ class Camera:
     """A camera, its stars, and the parts of its map error."""
 
     made: CalibratedCamera
-    lens: str = col("Lens", key="prescription", shown=False)
+    lens: str = col("Lens", shown=False)
     detector: str = col("Detector", shown=False)
     field_deg: Sequence[float] = col("Field", "deg", ".1f", "side")
     pixel_arcsec: float = col("Angle of a pixel", "arcsec", shown=False)
     sky: str = col("Sky", shown=False)
-    attribution: str = col("Source", json="", shown=False)
+    attribution: str = col("Source", shown=False)
     frames: int = col("Frames", shown=False)
     camera_model: str = col("Camera model", shown=False)
     detections: Sequence[int] = col("Detections", dims="outcome")
-    rendered: int = col("Rendered", json="", shown=False)
+    rendered: int = col("Rendered", shown=False)
     frames_matched: int = col("Frames matched", shown=False)
     stars: int = col("Used", shown=False)
     stars_per_frame: float = col("Used per frame", "", ".0f", shown=False)
     wrong_matches: int = col("Wrong matches", shown=False)
-    wrong_part: float = col("Wrong matches, part", json="", shown=False)
+    wrong_part: float = col("Wrong matches, part", shown=False)
     centroid_floor_px: Sequence[float] = col("Error beyond noise", "px", ".3f", "data")
-    centroid_pull: Measured = col("Scatter of faint stars over the stated one", json="", shown=False)
-    not_converged: int = col("Calibrations that did not converge", json="", shown=False)
-    part_rms_arcsec: Sequence[float] = col("RMS", "arcsec", "#.2g", "part", json="parts_arcsec", key="{part}_arcsec")
+    centroid_pull: Measured = col("Scatter of faint stars over the stated one", shown=False)
+    not_converged: int = col("Calibrations that did not converge", shown=False)
+    part_rms_arcsec: Sequence[float] = col("RMS", "arcsec", "#.2g", "part")
     quadrature_arcsec: float = col("Root sum square", "arcsec", ".4f")
-    part_correlation: Sequence[float] = col("Correlation", "", "+.2f", "pair", json="parts_correlation")
+    part_correlation: Sequence[float] = col("Correlation", "", "+.2f", "pair")
 
 
 def camera(made: CalibratedCamera) -> Camera:
@@ -125,47 +125,25 @@ def centroid_pull(made: CalibratedCamera) -> Measured:
     return Measured(value=scatter, uncertainty=0.889 / np.sqrt(pull.size), n=pull.size)
 
 
-def of_map(data: str, name: str, *also: str) -> dict[str, list[str]]:
-    """Places in ``summary.json``: of every method, and of free attitudes next to the camera."""
-    whole = {"measured": "map_error_arcsec", "corrected": "map_error_corrected_arcsec"}[data]
-    inner = [f"rendered[camera].methods_arcsec[method].{data}.{name}"]
-    return {"*": inner, "free": [f"rendered[camera].{one}" for one in (f"{whole}.{name}", *also)]}
-
-
-def free_only(place: str) -> dict[str, str]:
-    """Place in ``summary.json`` of a number that only free attitudes have there."""
-    return {"free": f"rendered[camera].{place}"}
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapError:
     """Line of sight of the calibrated cameras against the traced lens, by camera, for one way to treat attitudes."""
 
-    measured_rms_arcsec: Sequence[float] = col(
-        "Measured", "arcsec", ".4f", "camera", json=of_map("measured", "rms"), key="measured_arcsec"
-    )
+    measured_rms_arcsec: Sequence[float] = col("Measured", "arcsec", ".4f", "camera")
     measured_predicted_arcsec: Sequence[Measured] = col(
         "Predicted",
         "arcsec",
         dims="camera",
-        json=of_map("measured", "predicted"),
-        json_error=of_map("measured", "predicted_spread"),
     )
-    corrected_rms_arcsec: Sequence[float] = col(
-        "Colours known", "arcsec", ".4f", "camera", json=of_map("corrected", "rms"), key="corrected_arcsec"
-    )
-    noise_map_rms_arcsec: Sequence[float] = col(
-        "Noise only", "arcsec", ".4f", "camera", json=free_only("noise_map_arcsec.rms"), key="noise_arcsec"
-    )
+    corrected_rms_arcsec: Sequence[float] = col("Colours known", "arcsec", ".4f", "camera")
+    noise_map_rms_arcsec: Sequence[float] = col("Noise only", "arcsec", ".4f", "camera")
     corrected_predicted_arcsec: Sequence[Measured] = col(
         "Predicted",
         "arcsec",
         dims="camera",
-        json=of_map("corrected", "predicted", "noise_map_arcsec.predicted"),
-        json_error=of_map("corrected", "predicted_spread"),
     )
-    corrected_sigma_f_um: Sequence[float] = col("σ of f", "um", ".3f", "camera", json="", key="sigma_f_um")
-    corrected_reduced_chi2: Sequence[float] = col("χ² per degree", "", ".2f", "camera", json="", key="reduced_chi2")
+    corrected_sigma_f_um: Sequence[float] = col("σ of f", "um", ".3f", "camera")
+    corrected_reduced_chi2: Sequence[float] = col("χ² per degree", "", ".2f", "camera")
 
 
 def map_error(made: Sequence[CalibratedCamera], method: str) -> MapError:
@@ -207,13 +185,13 @@ def sigma_f_um(fitted: CalibratedMap) -> float:
 class Model:
     """A camera model fitted to the same stars as the others; map errors, RMS."""
 
-    parameters: int = col("Free parameters", json="")
-    direct_arcsec: float = col("Fitted to the lens", "arcsec", ".2g", json="direct")
-    mismatch_arcsec: float = col("Noiseless stars", "arcsec", ".2g", json="reference")
-    predicted_arcsec: float = col("Noise, predicted", "arcsec", ".4f", json="")
-    measured_arcsec: float = col("Measured", "arcsec", ".4f", json="measured")
-    corrected_arcsec: float = col("Colours known", "arcsec", ".4f", json="corrected")
-    measured_predicted_arcsec: float = col("Predicted", "arcsec", ".4f", json="predicted", shown=False)
+    parameters: int = col("Free parameters")
+    direct_arcsec: float = col("Fitted to the lens", "arcsec", ".2g")
+    mismatch_arcsec: float = col("Noiseless stars", "arcsec", ".2g")
+    predicted_arcsec: float = col("Noise, predicted", "arcsec", ".4f")
+    measured_arcsec: float = col("Measured", "arcsec", ".4f")
+    corrected_arcsec: float = col("Colours known", "arcsec", ".4f")
+    measured_predicted_arcsec: float = col("Predicted", "arcsec", ".4f", shown=False)
     status: str = col("Status", shown=False)
 
 
@@ -241,8 +219,8 @@ def models(made: CalibratedCamera) -> list[Model]:
 class Parameter:
     """Parameter of the configured model; ideal to distorted, in mm from the principal point."""
 
-    name: str = col("Parameter", json="")
-    value: Measured = col("Value", json="parameters")
+    name: str = col("Parameter")
+    value: Measured = col("Value")
 
 
 def parameters(made: CalibratedCamera) -> list[Parameter]:
@@ -263,7 +241,7 @@ def parameter_axis(name: str) -> Callable[[Quantities, Sequence[Parameter]], Non
 
     def describe(q: Quantities, rows: Sequence[Parameter]) -> None:
         names = [one.name for one in rows]
-        q.axis(f"{name}_parameter", names, "Parameter", key="parameter", units=[unit(one) for one in names])
+        q.axis(f"{name}_parameter", names, "Parameter", units=[unit(one) for one in names])
 
     return describe
 
@@ -272,19 +250,15 @@ def parameter_axis(name: str) -> Callable[[Quantities, Sequence[Parameter]], Non
 class Place:
     """Line-of-sight error at a place of the detector, model minus traced lens; its prediction and its parts."""
 
-    place_px: FloatArray = col("Place", "px", dims="axis", json="", key="{axis}_px")
-    error_arcsec: FloatArray = col("As measured", "arcsec", dims="axis", json="", key="error_{axis}_arcsec")
-    sigma_arcsec: FloatArray = col("Predicted σ", "arcsec", dims="axis", json="", key="sigma_{axis}_arcsec")
-    corrected_error_arcsec: FloatArray = col(
-        "Colours known", "arcsec", dims="axis", json="", key="corrected_error_{axis}_arcsec"
-    )
-    corrected_sigma_arcsec: FloatArray = col(
-        "Predicted σ, colours known", "arcsec", dims="axis", json="", key="corrected_sigma_{axis}_arcsec"
-    )
-    mismatch_arcsec: FloatArray = col("Camera model", "arcsec", dims="axis", json="", key="mismatch_{axis}_arcsec")
-    chromatic_arcsec: FloatArray = col("Star colours", "arcsec", dims="axis", json="", key="chromatic_{axis}_arcsec")
-    noise_arcsec: FloatArray = col("Noise and pixels", "arcsec", dims="axis", json="", key="noise_{axis}_arcsec")
-    psf_arcsec: FloatArray = col("PSF of one colour", "arcsec", dims="axis", json="", key="psf_{axis}_arcsec")
+    place_px: FloatArray = col("Place", "px", dims="axis")
+    error_arcsec: FloatArray = col("As measured", "arcsec", dims="axis")
+    sigma_arcsec: FloatArray = col("Predicted σ", "arcsec", dims="axis")
+    corrected_error_arcsec: FloatArray = col("Colours known", "arcsec", dims="axis")
+    corrected_sigma_arcsec: FloatArray = col("Predicted σ, colours known", "arcsec", dims="axis")
+    mismatch_arcsec: FloatArray = col("Camera model", "arcsec", dims="axis")
+    chromatic_arcsec: FloatArray = col("Star colours", "arcsec", dims="axis")
+    noise_arcsec: FloatArray = col("Noise and pixels", "arcsec", dims="axis")
+    psf_arcsec: FloatArray = col("PSF of one colour", "arcsec", dims="axis")
 
 
 def places(made: CalibratedCamera) -> list[Place]:
@@ -305,21 +279,17 @@ def places(made: CalibratedCamera) -> list[Place]:
 class Star:
     """A star that was calibrated with."""
 
-    frame: int = col("Frame", json="", key="frame")
-    id: int = col("Star", json="", key="star")
-    magnitude: float = col("G", "mag", json="", key="g_mag")
-    temperature: float = col("Colour temperature", "K", json="", key="temperature_k")
-    snr: float = col("Signal-to-noise ratio", json="", key="snr")
-    measured_px: FloatArray = col("PSF of one colour", "px", dims="axis", json="", key="measured_{axis}_px")
-    own_px: FloatArray = col("PSF of the star's colour", "px", dims="axis", json="", key="own_{axis}_px")
-    light_px: FloatArray = col("Mean of all light", "px", dims="axis", json="", key="light_{axis}_px")
-    reference_px: FloatArray = col(
-        "Light of the reference colour", "px", dims="axis", json="", key="reference_{axis}_px"
-    )
-    residual_px: FloatArray = col(
-        "Measured minus calibrated camera", "px", dims="axis", json="", key="residual_{axis}_px"
-    )
-    sigma_px: FloatArray = col("Stated σ", "px", dims="axis", json="", key="sigma_{axis}_px")
+    frame: int = col("Frame")
+    id: int = col("Star")
+    magnitude: float = col("G", "mag")
+    temperature: float = col("Colour temperature", "K")
+    snr: float = col("Signal-to-noise ratio")
+    measured_px: FloatArray = col("PSF of one colour", "px", dims="axis")
+    own_px: FloatArray = col("PSF of the star's colour", "px", dims="axis")
+    light_px: FloatArray = col("Mean of all light", "px", dims="axis")
+    reference_px: FloatArray = col("Light of the reference colour", "px", dims="axis")
+    residual_px: FloatArray = col("Measured minus calibrated camera", "px", dims="axis")
+    sigma_px: FloatArray = col("Stated σ", "px", dims="axis")
 
 
 def stars(made: CalibratedCamera) -> list[Star]:
@@ -384,7 +354,7 @@ def axes(config: Config) -> Quantities:
     q.axis("pair", PAIRS, "Parts")
     q.axis("outcome", OUTCOMES, "Detections")
     for name, one in config.cameras.items():
-        q.axis(f"{name}_model", one.models, "Model", key="model", names=[model_label(model) for model in one.models])
+        q.axis(f"{name}_model", one.models, "Model", names=[model_label(model) for model in one.models])
     return q
 
 
@@ -402,8 +372,6 @@ def sections_of(name: str) -> dict[str, Section]:
         f"{name}_models": Section(
             record=Model,
             dim=model,
-            prefix=f"{model}_",
-            place=f"rendered.{name}.models_arcsec[{model}]",
             table=f"models_{name}",
             caption="RMS map error by camera model.",
             note="Noiseless stars: the measured stars and weights, at the positions of light of the reference colour. "
@@ -411,8 +379,8 @@ def sections_of(name: str) -> dict[str, Section]:
             figures={
                 f"{name}_model_curves": curves(
                     model,
-                    points=f"{model}_measured_arcsec {model}_corrected_arcsec",
-                    lines=f"{model}_mismatch_arcsec {model}_predicted_arcsec",
+                    points="measured_arcsec corrected_arcsec",
+                    lines="mismatch_arcsec predicted_arcsec",
                     log="y",
                     y="Map error, RMS",
                     aspect_ratio=0.36,
@@ -423,8 +391,6 @@ def sections_of(name: str) -> dict[str, Section]:
             record=Parameter,
             dim=f"{name}_parameter",
             along="name",
-            prefix=f"{name}_",
-            place=f"rendered.{name}",
             axes=parameter_axis(name),
             table=f"parameters_{name}",
             caption="Parameters of the calibration, with the standard deviations it states.",
@@ -432,19 +398,15 @@ def sections_of(name: str) -> dict[str, Section]:
         f"{name}_map": Section(
             record=Place,
             dim=f"{name}_place",
-            prefix=f"{name}_",
             table=f"map_{name}",
             across="axis",
             hidden=f"{name}_place",
             caption="Line-of-sight error over the detector: model minus traced lens.",
-            figures={
-                f"{name}_map": arrows(f"{name}_place_px", f"{name}_error_arcsec", f"{name}_corrected_error_arcsec")
-            },
+            figures={f"{name}_map": arrows("place_px", "error_arcsec", "corrected_error_arcsec")},
         ),
         f"{name}_stars": Section(
             record=Star,
             dim=f"{name}_star",
-            prefix=f"{name}_star_",
             table=f"stars_{name}",
             across="axis",
             hidden=f"{name}_star",
@@ -457,7 +419,6 @@ SECTIONS: dict[str, Section] = {
     "cameras": Section(
         record=Camera,
         dim="camera",
-        place="rendered[camera]",
         axes=camera_axis,
         table="parts",
         rows="camera",

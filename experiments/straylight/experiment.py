@@ -56,9 +56,9 @@ def limits(config: Config) -> dict[str, tuple[float, bool]]:
 class BaffledSensor:
     """What light meets."""
 
-    name: str = col("Sensor", json="")
-    baffle: str = col("Baffle", json="")
-    coating: str = col("Coating", json="")
+    name: str = col("Sensor")
+    baffle: str = col("Baffle")
+    coating: str = col("Coating")
     vanes: int = col("Vanes")
     shade_deg: float = col("Shade of the baffle begins at", "deg", ".2f")  # NaN without vanes
     length_mm: float = col("Length of the baffle", "mm", ".1f")
@@ -68,8 +68,8 @@ class BaffledSensor:
     rays: int = col("Rays through the baffle")
     sun_e: float = col("Sun, electrons per pixel for a PST of 1", "e-", ".3g")
     walls_error_percent: float = col("Standard error of walls and vanes, largest", "percent", ".1f")
-    walls_limit_percent: float = col("Standard error requested", "percent", ".1f", json="")
-    whole_baffle: bool = col("No baffle was stated", json="")
+    walls_limit_percent: float = col("Standard error requested", "percent", ".1f")
+    whole_baffle: bool = col("No baffle was stated")
     stray: SensorTransmittance
     worst: WorstPaths | None
     worst_deg: float
@@ -86,7 +86,7 @@ class Angle:
     angle_deg: float = col("Angle of the source", "deg", "g")
     direct: float = col("Entrance in the light", format=".3f", shown=False)
     pst_cause: FloatArray = col("PST by cause", format=".2e", dims="cause azimuth", shown=False)
-    pst: Sequence[Measured] = col("PST", format=".2e", dims="azimuth", json="pst")
+    pst: Sequence[Measured] = col("PST", format=".2e", dims="azimuth")
     sun_e: FloatArray = col("Sun", "e-", ".3g", "azimuth")
     moon_e: FloatArray = col("Full Moon", "e-", ".3g", "azimuth", shown=False)
     azimuth_deg: FloatArray  # Of the table
@@ -136,14 +136,14 @@ class SunAngle:
 
     sun_deg: float = col("Sun", "deg", ".2f")
     light_e: float = col("Stray light", "e-", ".3g")
-    found: Measured = col("Stars detected", format=".1f", json="found_per_frame")
-    lost: Measured = col("Lost", "percent", ".1f", json="lost_percent")
-    false: Measured = col("False detections", format=".2f", json="false_per_frame")
-    saturated: float = col("Saturated pixels", "percent", ".1f", json="saturated_percent")
+    found: Measured = col("Stars detected", format=".1f")
+    lost: Measured = col("Lost", "percent", ".1f")
+    false: Measured = col("False detections", format=".2f")
+    saturated: float = col("Saturated pixels", "percent", ".1f")
     centroid_px: float = col("Centroid, RMS", "px", ".3f")
-    solved: float = col("Attitudes solved", "percent", ".0f", json="solved_percent")
-    cross_arcsec: float = col("Attitude across", "arcsec", ".2f", json="cross_arcsec_rms")
-    roll_arcsec: float = col("Roll", "arcsec", ".2f", json="roll_arcsec_rms")
+    solved: float = col("Attitudes solved", "percent", ".0f")
+    cross_arcsec: float = col("Attitude across", "arcsec", ".2f")
+    roll_arcsec: float = col("Roll", "arcsec", ".2f")
     frames: SunFrames
     usable: bool
 
@@ -243,7 +243,7 @@ REFINED = 3
 class Variant:
     """A single change at a time."""
 
-    change: str = col("Change", json="")
+    change: str = col("Change")
     outside_pst: float = col("PST 5 deg outside the shade", format=".2e")
     outside_e: float = col("Sun at this angle", "e-", ".3g")
     inside_pst: float = col("PST 5 deg inside", format=".2e")
@@ -420,8 +420,6 @@ SECTIONS = {
         dim="angle",
         along="angle_deg",
         axes=_pst_axes,
-        prefix="at_",
-        place="angles[angle]",
         table="transmittance",
         across="azimuth",
         columns="pst sun_e",
@@ -432,22 +430,18 @@ SECTIONS = {
         record=Limb,
         dim="limb",
         along="limb_deg",
-        place="limb[limb]",
-        prefix="limb_",
         caption="Electrons per pixel from the fully lit Earth.",
     ),
     "frames": Section(
         record=SunAngle,
         dim="sun",
         along="sun_deg",
-        prefix="sun_",
-        place="frames[sun]",
         caption="Frames of the real sky by angle of the Sun, mean over the attitudes.",
         figures={
-            "rates": curves("sun_light_e", points="sun_lost", log="x", y="Stars lost", aspect_ratio=0.8, width="half"),
+            "rates": curves("light_e", points="lost", log="x", y="Stars lost", aspect_ratio=0.8, width="half"),
             "attitude": curves(
-                "sun_light_e",
-                lines="sun_cross_arcsec sun_roll_arcsec",
+                "light_e",
+                lines="cross_arcsec roll_arcsec",
                 log="xy",
                 y="Attitude, RMS",
                 aspect_ratio=0.8,
@@ -463,7 +457,6 @@ SECTIONS = {
         record=Variant,
         note="Exclusion angle: where the Sun's light falls to the tolerated light; end of the table: at no angle.",
         dim="variant",
-        place="changes[variant]",
         table="what_if",
         rows="variant",
         hidden="variant",

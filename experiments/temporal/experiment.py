@@ -43,20 +43,14 @@ class Scatter:
     """Temporal error (3 sigma) at one signal, measured and predicted without frames."""
 
     signal_e: float = col("Signal", "e-", ".0f", shown=False)
-    magnitude_mag: float = col("V", "mag", ".2f", json="signal_magnitude_mag", shown=False)
-    measured_arcsec: Errors = col("Measured", "arcsec", dims="method axis", json="temporal_error_arcsec_3sigma")
-    predicted_arcsec: FloatArray = col("Predicted", "arcsec", ".4f", "method axis", json="predicted_arcsec_3sigma")
-    predicted_linear_arcsec: FloatArray = col(
-        "Predicted, linear", "arcsec", ".4f", "method axis", json="predicted_linear_arcsec_3sigma", shown=False
-    )
-    bound_arcsec: FloatArray = col(
-        "Cramér-Rao", "arcsec", ".4f", "axis", json="cramer_rao_arcsec_3sigma", key="cramer_rao_arcsec"
-    )
+    magnitude_mag: float = col("V", "mag", ".2f", shown=False)
+    measured_arcsec: Errors = col("Measured", "arcsec", dims="method axis")
+    predicted_arcsec: FloatArray = col("Predicted", "arcsec", ".4f", "method axis")
+    predicted_linear_arcsec: FloatArray = col("Predicted, linear", "arcsec", ".4f", "method axis", shown=False)
+    bound_arcsec: FloatArray = col("Cramér-Rao", "arcsec", ".4f", "axis")
     ratio: Errors = col("Measured / predicted", dims="method axis")
-    over_bound: Errors = col("Measured / Cramér-Rao", dims="method axis", json="", shown=False)
-    published_arcsec: Sequence[float] | None = col(
-        "Published", "arcsec", dims="axis", json="published_arcsec_3sigma", shown=False, default=None
-    )
+    over_bound: Errors = col("Measured / Cramér-Rao", dims="method axis", shown=False)
+    published_arcsec: Sequence[float] | None = col("Published", "arcsec", dims="axis", shown=False, default=None)
 
 
 def scatter(
@@ -86,10 +80,10 @@ def scatter(
 class Star:
     """Standard deviation of a star's centroid at the signal of the source, first centroider, per axis."""
 
-    light_px: FloatArray = col("Centroid of the light", "px", dims="axis", json="", key="light_{axis}_px")
-    sigma_px: Sequence[Measured] = col("Measured σ", "px", dims="axis", json="", key="sigma_{axis}_px")
-    predicted_px: FloatArray = col("Predicted σ", "px", dims="axis", json="", key="predicted_{axis}_px")
-    bound_px: FloatArray = col("Cramér-Rao σ", "px", dims="axis", json="", key="bound_{axis}_px")
+    light_px: FloatArray = col("Centroid of the light", "px", dims="axis")
+    sigma_px: Sequence[Measured] = col("Measured σ", "px", dims="axis")
+    predicted_px: FloatArray = col("Predicted σ", "px", dims="axis")
+    bound_px: FloatArray = col("Cramér-Rao σ", "px", dims="axis")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,7 +94,7 @@ class Frames:
     stars: int = col("Stars")
     pixel_arcsec: float = col("Angle of a pixel", "arcsec")
     signal_star: str = col("Star")
-    apart_arcsec: FloatArray = col("Centroids about their mean", "arcsec", dims="frame star axis", json="")
+    apart_arcsec: FloatArray = col("Centroids about their mean", "arcsec", dims="frame star axis")
 
 
 def stars(measured: TemporalMeasurement, predicted: TemporalPrediction, method: str) -> list[Star]:
@@ -164,7 +158,9 @@ SECTIONS = {
     "frames": Section(
         record=Frames,
         figures={
-            "frame_cloud": cloud("apart_arcsec", ellipses="predicted_arcsec bound_arcsec", at={"method": 0}),
+            "frame_cloud": cloud(
+                "apart_arcsec", ellipses="nominal.predicted_arcsec nominal.bound_arcsec", at={"method": 0}
+            ),
         },
     ),
     "nominal": Section(
@@ -185,33 +181,23 @@ SECTIONS = {
         record=Scatter,
         dim="level",
         along="signal_e",
-        prefix="level_",
-        place="levels[level]",
-        json={
-            "magnitude_mag": "magnitude_mag",
-            "measured_arcsec": "methods[method].measured",
-            "predicted_arcsec": "methods[method].predicted",
-            "predicted_linear_arcsec": "methods[method].linear",
-            "bound_arcsec": "cramer_rao",
-            "ratio": "",
-        },
         caption="Temporal error (3 σ) against signal.",
         note=NOTE,
         figures={
             "level_curves": curves(
                 "level",
-                points="level_measured_arcsec",
-                lines="level_predicted_arcsec",
+                points="measured_arcsec",
+                lines="predicted_arcsec",
                 by="method",
                 panels="axis",
-                floor="level_bound_arcsec",
-                dashes="published_arcsec",
+                floor="bound_arcsec",
+                dashes="nominal.published_arcsec",
                 log="xy",
                 y="Temporal error, 3 σ",
             ),
             "ratio_plot": curves(
                 "level",
-                points="level_ratio",
+                points="ratio",
                 by="method",
                 panels="axis",
                 level=1.0,
@@ -221,9 +207,9 @@ SECTIONS = {
             ),
         },
         verdicts=[
-            agree("level_ratio", 1.0, each="method", title="temporal error over all levels against prediction"),
+            agree("ratio", 1.0, each="method", title="temporal error over all levels against prediction"),
             ratio_near(
-                "level_over_bound",
+                "over_bound",
                 within=0.02,
                 at={"method": "epsf"},
                 mean=True,
@@ -234,7 +220,6 @@ SECTIONS = {
     "stars": Section(
         record=Star,
         dim="star",
-        prefix="star_",
         across="axis",
         caption="Standard deviation of each star at the signal of the source, first centroider.",
     ),

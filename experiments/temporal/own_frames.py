@@ -19,22 +19,16 @@ from experiments.reduce.pipeline import POINTS, POINTS_CAPTION, FramesTest, Redu
 from experiments.reduce.series import SeriesFrames, reduce_series
 from optics.arrays import FloatArray
 
-INTERVAL = "interval_arcsec_3sigma[series][method][axis]"
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Level:
     """Temporal error of a series (3 sigma), and its prediction from the stated camera noise."""
 
-    measured_arcsec: Sequence[Sequence[Measured]] = col(
-        "Measured", "arcsec", dims="method axis", json="temporal_error_arcsec_3sigma"
-    )
-    low_arcsec: FloatArray = col("95 % from", "arcsec", dims="method axis", json=f"{INTERVAL}.low")
-    high_arcsec: FloatArray = col("to", "arcsec", dims="method axis", json=f"{INTERVAL}.high")
-    noise_model_arcsec: FloatArray = col(
-        "Noise model", "arcsec", ".4f", "method axis", json="noise_model_arcsec_3sigma"
-    )
-    ratio: FloatArray = col("Ratio", "", ".3f", "method axis", json="")
+    measured_arcsec: Sequence[Sequence[Measured]] = col("Measured", "arcsec", dims="method axis")
+    low_arcsec: FloatArray = col("95 % from", "arcsec", dims="method axis")
+    high_arcsec: FloatArray = col("to", "arcsec", dims="method axis")
+    noise_model_arcsec: FloatArray = col("Noise model", "arcsec", ".4f", "method axis")
+    ratio: FloatArray = col("Ratio", "", ".3f", "method axis")
 
 
 def level(series: SeriesFrames, methods: Sequence[str], pixel_arcsec: float) -> Level:

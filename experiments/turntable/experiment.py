@@ -224,28 +224,24 @@ def calibrations(
 class LineOfSight:
     """Calibration on one table, by its map: RMS length of the line-of-sight error after the best rotation."""
 
-    map_error_arcsec: Sequence[float] = col("Run,", "arcsec", ".3g", "reduction", key="map_error")
+    map_error_arcsec: Sequence[float] = col("Run,", "arcsec", ".3g", "reduction")
     map_predicted_arcsec: float = col("Predicted", "arcsec", ".3g")  # By the estimator's covariance
     # Stays above the map error with the probability `RENDERED_QUANTILE`
-    map_limit_arcsec: float = col("Limit of chance", "arcsec", ".3g", json="", shown=False)
+    map_limit_arcsec: float = col("Limit of chance", "arcsec", ".3g", shown=False)
     map_monte_carlo_arcsec: Measured = col("Monte-Carlo", "arcsec", ".3g")
     map_bound_arcsec: float = col("Cramér–Rao", "arcsec", ".3g")
     # Model against noise-free rays, leans known
-    camera_model_arcsec: float = col("Camera model", "arcsec", ".3g", json="map_split_arcsec.model")
-    camera_model_share: float = col("Camera model over predicted", "", ".2g", json="", shown=False)
-    reduced_chi2: Sequence[Measured] = col(
-        "χ²/dof,", "", ".3f", "reduction", shown=False, json_error="reduced_chi2_error"
-    )
+    camera_model_arcsec: float = col("Camera model", "arcsec", ".3g")
+    camera_model_share: float = col("Camera model over predicted", "", ".2g", shown=False)
+    reduced_chi2: Sequence[Measured] = col("χ²/dof,", "", ".3f", "reduction", shown=False)
     principal_point_sigma_arcsec: FloatArray = col("Principal point alone, σ", "arcsec", ".0f", "axis", shown=False)
-    point_over_line: float = col("Principal point over line of sight", "", ".0f", json="", shown=False)  # Per axis
+    point_over_line: float = col("Principal point over line of sight", "", ".0f", shown=False)  # Per axis
     lost_runs: int = col("Runs that did not converge", shown=False)
-    places: int = col("Places", json="centroid_error_px.n", shown=False)
-    centroid_error_px: FloatArray = col(
-        "Centroid error, RMS", "px", ".4f", "axis", json="centroid_error_px.rms", shown=False
-    )
+    places: int = col("Places", shown=False)
+    centroid_error_px: FloatArray = col("Centroid error, RMS", "px", ".4f", "axis", shown=False)
     centroid_predicted_px: FloatArray = col("Centroid error, predicted", "px", ".4f", "axis", shown=False)
-    line_error_arcsec: FloatArray = col("Error of the line of sight", "arcsec", dims="point", json="", shown=False)
-    line_sigma_arcsec: FloatArray = col("Its predicted σ", "arcsec", dims="point", json="", shown=False)
+    line_error_arcsec: FloatArray = col("Error of the line of sight", "arcsec", dims="point", shown=False)
+    line_sigma_arcsec: FloatArray = col("Its predicted σ", "arcsec", dims="point", shown=False)
 
 
 def line_of_sight(case: Case, pixel_arcsec: float) -> LineOfSight:
@@ -285,20 +281,18 @@ class Unknown:
     Truth of the camera: the model fitted to noise-free rays; of star, installation and axes: as set.
     """
 
-    truth: FloatArray = col("Truth", "{unknown}", dims="table", json="[table].unknowns[unknown].truth", shown=False)
-    estimate: Sequence[Measured] = col("Run", "{unknown}", dims="table", json="[table].unknowns[unknown].estimate")
-    pull: FloatArray = col("Pull", "", "+.2f", "table", json="")
-    bound: FloatArray = col("Cramér–Rao σ", "{unknown}", dims="table", json="", shown=False)
-    monte_carlo: FloatArray = col("Monte-Carlo σ", "{unknown}", dims="table", json="", shown=False)
+    truth: FloatArray = col("Truth", "{unknown}", dims="table", shown=False)
+    estimate: Sequence[Measured] = col("Run", "{unknown}", dims="table")
+    pull: FloatArray = col("Pull", "", "+.2f", "table")
+    bound: FloatArray = col("Cramér–Rao σ", "{unknown}", dims="table", shown=False)
+    monte_carlo: FloatArray = col("Monte-Carlo σ", "{unknown}", dims="table", shown=False)
     rms_pull: Sequence[Measured] = col(
         "RMS pull",
         "",
         ".2f",
         "table",
-        json="[table].unknowns[unknown].monte_carlo_rms_pull",
-        json_error="[table].unknowns[unknown].monte_carlo_rms_pull_error",
     )
-    correlation: FloatArray = col("Correlation", dims="table other", json="", shown=False)
+    correlation: FloatArray = col("Correlation", dims="table other", shown=False)
 
 
 def unknown(name: str, cases: Sequence[Case]) -> Unknown:
@@ -336,48 +330,44 @@ def unit_of(name: str) -> str:
 class Share:
     """Map error that one cause of noise makes, carried through the best estimator; squares add up to the bound."""
 
-    noise: str = col("Noise of", json="")
-    share_arcsec: Sequence[float] = col(
-        "Map error,", "arcsec", ".3g", "table", key="{table}", json="[table].noise_shares_arcsec"
-    )
+    noise: str = col("Noise of")
+    share_arcsec: Sequence[float] = col("Map error,", "arcsec", ".3g", "table")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Known:
     """TableBound of the map error if more were known."""
 
-    given: str = col("Known", json="")
-    known_arcsec: Sequence[float] = col(
-        "Map error,", "arcsec", ".3g", "table", key="{table}", json="[table].map_bound_if_known_arcsec"
-    )
+    given: str = col("Known")
+    known_arcsec: Sequence[float] = col("Map error,", "arcsec", ".3g", "table")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Place:
     """Places that the star's image visited on one table."""
 
-    wanted_px: FloatArray = col("Wanted", "px", dims="place axis", json="", key="wanted_{axis}_px")
-    true_deg: FloatArray = col("True angle", "deg", dims="place turn", json="", key="true_{turn}_deg")
-    reading_deg: FloatArray = col("Reading", "deg", dims="place turn", json="", key="reading_{turn}_deg")
-    bundle_px: FloatArray = col("Rays", "px", dims="place axis", json="", key="bundle_{axis}_px")
-    centroid_px: FloatArray = col("Centroid", "px", dims="place axis", json="", key="centroid_{axis}_px")
-    sigma_px: FloatArray = col("σ", "px", dims="place axis", json="", key="sigma_{axis}_px")
+    wanted_px: FloatArray = col("Wanted", "px", dims="place axis")
+    true_deg: FloatArray = col("True angle", "deg", dims="place turn")
+    reading_deg: FloatArray = col("Reading", "deg", dims="place turn")
+    bundle_px: FloatArray = col("Rays", "px", dims="place axis")
+    centroid_px: FloatArray = col("Centroid", "px", dims="place axis")
+    sigma_px: FloatArray = col("σ", "px", dims="place axis")
     # Against the calibration at the angles as read, leans estimated
-    residual_px: FloatArray = col("Residual", "px", dims="place axis", json="", key="residual_{axis}_px")
+    residual_px: FloatArray = col("Residual", "px", dims="place axis")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setup:
     """Test conditions common to both tables."""
 
-    lens: str = col("Lens", json="")
-    detector: str = col("Detector", json="")
-    focal_length_mm: float = col("Focal length", "mm", ".1f", json="")
-    pixel_arcsec: float = col("Angle of a pixel", "arcsec", ".2f", json="")
+    lens: str = col("Lens")
+    detector: str = col("Detector")
+    focal_length_mm: float = col("Focal length", "mm", ".1f")
+    pixel_arcsec: float = col("Angle of a pixel", "arcsec", ".2f")
     signal_e: float = col("Signal", "e-", ".0f")
     signal_star: str = col("Star")
     reading_noise_equal_to_centroids_arcsec: float = col("Reading noise equivalent to the centroids", "arcsec", ".3f")
-    map_px: FloatArray = col("Places of the map", "px", dims="point axis", json="")
+    map_px: FloatArray = col("Places of the map", "px", dims="point axis")
 
 
 def place_of(case: Case) -> Place:
@@ -463,7 +453,6 @@ SECTIONS = {
     "line_of_sight": Section(
         record=LineOfSight,
         dim="table",
-        place="[table]",
         table="map_error",
         across="reduction axis",
         caption="Line of sight over the detector after the best rotation: RMS length of its error.",

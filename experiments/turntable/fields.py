@@ -35,17 +35,17 @@ class FieldPoint:
     """Bounds for a camera of one square field, all unknowns; rolled: quarter turns of a third axis between places."""
 
     field_deg: float = col("Full field of view", "deg", "g")
-    principal_point_sigma_px: float = col("σ(x₀)", "px", ".3g", key="x0_px")
-    principal_point_sigma_arcsec: float = col("Principal point, two axes", "arcsec", ".3g", key="x0_arcsec")
-    principal_point_inflation: float = col("inflated", "", ".0f", key="inflation")  # Over all else known
-    rolled_point_px: float = col("σ(x₀), rolled", "px", ".3g", json="", key="rolled_x0_px")
-    rolled_point_arcsec: float = col("Principal point, three axes", "arcsec", ".3g", json="")
-    map_sigma_arcsec: float = col("Map, RMS length", "arcsec", ".4f", key="map_arcsec")
-    map_sigma_rolled_arcsec: float = col("Map, rolled", "arcsec", ".4f", key="rolled_map_arcsec")
-    line_arcsec: float = col("Line of sight per axis, two axes", "arcsec", ".3g", json="")
-    rolled_line_arcsec: float = col("Line of sight per axis, three axes", "arcsec", ".3g", json="")
-    image_arcsec: float = col("A single image", "arcsec", ".3g", json="")
-    point_over_line: float = col("Principal point over line of sight", "", ".0f", json="")
+    principal_point_sigma_px: float = col("σ(x₀)", "px", ".3g")
+    principal_point_sigma_arcsec: float = col("Principal point, two axes", "arcsec", ".3g")
+    principal_point_inflation: float = col("inflated", "", ".0f")  # Over all else known
+    rolled_point_px: float = col("σ(x₀), rolled", "px", ".3g")
+    rolled_point_arcsec: float = col("Principal point, three axes", "arcsec", ".3g")
+    map_sigma_arcsec: float = col("Map, RMS length", "arcsec", ".4f")
+    map_sigma_rolled_arcsec: float = col("Map, rolled", "arcsec", ".4f")
+    line_arcsec: float = col("Line of sight per axis, two axes", "arcsec", ".3g")
+    rolled_line_arcsec: float = col("Line of sight per axis, three axes", "arcsec", ".3g")
+    image_arcsec: float = col("A single image", "arcsec", ".3g")
+    point_over_line: float = col("Principal point over line of sight", "", ".0f")
 
 
 def field_sweep(fields_deg: Sequence[float], sigma_px: float) -> list[FieldPoint]:
@@ -90,8 +90,6 @@ FIELDS = Section(
     record=FieldPoint,
     dim="field",
     along="field_deg",
-    prefix="field_",
-    place="field_sweep[field]",
     table="field_sweep",
     columns="principal_point_sigma_px principal_point_sigma_arcsec principal_point_inflation map_sigma_arcsec "
     "rolled_point_px map_sigma_rolled_arcsec",
@@ -101,8 +99,7 @@ FIELDS = Section(
     figures={
         "field_curves": curves(
             "field",
-            lines="field_principal_point_sigma_arcsec field_rolled_point_arcsec field_line_arcsec "
-            "field_rolled_line_arcsec field_image_arcsec",
+            lines="principal_point_sigma_arcsec rolled_point_arcsec line_arcsec rolled_line_arcsec image_arcsec",
             log="xy",
             y="1 σ per axis",
         )

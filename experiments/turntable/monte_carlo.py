@@ -137,10 +137,10 @@ def monte_carlo(
 class ReadingPoint:
     """Map error at one error of a place's mean reading, the same on all axes, with unchanged centroids."""
 
-    reading_arcsec: float = col("Noise of the mean reading", "arcsec", "g", key="reading_noise_arcsec")
-    measured_arcsec: Measured = col("Map error", "arcsec", key="map_error", json_error="uncertainty_arcsec")
-    bound_arcsec: float = col("Cramér–Rao bound", "arcsec", ".4f", key="bound")
-    pull_rms: float = col("RMS pull", "", ".3f", key="rms_pull")  # Of all unknowns
+    reading_arcsec: float = col("Noise of the mean reading", "arcsec", "g")
+    measured_arcsec: Measured = col("Map error", "arcsec")
+    bound_arcsec: float = col("Cramér–Rao bound", "arcsec", ".4f")
+    pull_rms: float = col("RMS pull", "", ".3f")  # Of all unknowns
     runs: int = col("Runs that converged")
 
 
@@ -185,13 +185,11 @@ READINGS = Section(
     record=ReadingPoint,
     dim="reading",
     along="reading_arcsec",
-    prefix="sweep_",
-    place="reading_sweep[reading]",
     table="reading_sweep",
     caption="Map error against the reading noise, two-axis table.",
     figures={
         "reading_curves": curves(
-            "reading", points="sweep_measured_arcsec", lines="sweep_bound_arcsec", log="xy", y="Map error, RMS length"
+            "reading", points="measured_arcsec", lines="bound_arcsec", log="xy", y="Map error, RMS length"
         )
     },
 )

@@ -21,8 +21,8 @@ from optics.arrays import FloatArray
 class Unknown:
     """An unknown of the joint calibration."""
 
-    unknown_name: str = col("Unknown", json="", key="unknown")
-    solved: Measured = col("Value", json="unknowns[unknown]", key="value")
+    unknown_name: str = col("Unknown")
+    solved: Measured = col("Value")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,9 +39,9 @@ class Errors:
 class Pose:
     """The star at a pose."""
 
-    place_px: FloatArray = col("Image", "px", ".4f", "axis", json="", key="{axis}_px")
-    left_px: FloatArray = col("Residual", "px", ".4f", "axis", json="", key="residual_{axis}_px")
-    left_arcsec: FloatArray = col("Residuals", "arcsec", ".2f", "axis", json="", shown=False)
+    place_px: FloatArray = col("Image", "px", ".4f", "axis")
+    left_px: FloatArray = col("Residual", "px", ".4f", "axis")
+    left_arcsec: FloatArray = col("Residuals", "arcsec", ".2f", "axis", shown=False)
 
 
 def reduce(folder: FrameFolder, methods: Sequence[str], config: Any = None) -> Reduced:

@@ -42,7 +42,7 @@ STRETCH_PERCENT = (20.0, 99.7)
 class CameraNumbers:
     """Measured properties of the camera."""
 
-    frames: int = col("Frames solved", json="frames_solved")
+    frames: int = col("Frames solved")
     frames_given: int = col("Frames given")
     order: str = col("Camera model")
     focal_length_px: Measured = col("Focal length", "px")
@@ -131,14 +131,14 @@ class FrameNumbers:
     name: str = col("Frame", shown=False)
     found: int = col("Detections")
     identified: int = col("Identified")
-    seconds: float = col("Time", "s", ".2f", json="")
+    seconds: float = col("Time", "s", ".2f")
     background_dn: float = col("Background", "DN", ".0f")
     stars: float = col("Stars at 5 sigma", "", ".0f")
     rendered_stars: Measured = col("Twin")
     off_percent: float = col("Difference", "percent", ".1f")
     noise_dn: float = col("Noise", "DN", ".3f")
     rendered_noise_dn: Measured = col("Twin's noise", "DN")
-    noise_percent: float = col("Difference", "percent", ".2f", key="noise_off_percent")
+    noise_percent: float = col("Difference", "percent", ".2f")
     scatter_mag: float = col("Scatter of photometry", "mag", ".3f")
     trail: int = col("Detections on trails")
 
@@ -192,8 +192,8 @@ class OrderNumbers:
 
     name: str = col("Model", shown=False)
     parameters: int = col("Parameters")
-    chi2: float = col("χ² per degree of freedom", "", ".4f", key="chi2")
-    residual_px: float = col("Residual of predicted frames", "px", ".4f", key="predicted_residual_px")
+    chi2: float = col("χ² per degree of freedom", "", ".4f")
+    residual_px: float = col("Residual of predicted frames", "px", ".4f")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -252,9 +252,9 @@ class Compared:
 
     key: str = col("Key", shown=False)
     label: str
-    unit: str = col("Unit", json="")
+    unit: str = col("Unit")
     real: Measured = col("Real", "{statistic}")
-    twin: Measured = col("Twin", "{statistic}", key="rendered")
+    twin: Measured = col("Twin", "{statistic}")
     off: Measured = col("Difference")
     allowed: float | None = col("Allowed", "", ".3g")
     within: str = col("Within", "")
@@ -299,9 +299,9 @@ class TrueNumber:
     """A measured number and the truth of the rendering camera."""
 
     name: str = col("Number", shown=False)
-    unit: str = col("Unit", json="")
+    unit: str = col("Unit")
     found: Measured = col("Measured", "{parameter}")
-    true: float = col("Truth", "{parameter}", ".5g", key="truth")
+    true: float = col("Truth", "{parameter}", ".5g")
     pull: float = col("Difference", "sigma", ".2f")
 
 
@@ -570,8 +570,8 @@ def _each_frame(outcome: Outcome) -> list[Criterion]:
         ("stars per frame", "off_percent", "stars", FRAME_LIMIT),
         ("noise of the background per frame", "noise_percent", "noise_dn", NOISE_LIMIT),
     ):
-        off, level = np.abs(outcome.values(f"frame_{field}")) / 100.0, outcome.values(f"frame_{base}")
-        drawn = outcome.quantity(f"frame_rendered_{base}")
+        off, level = np.abs(outcome.values(field)) / 100.0, outcome.values(base)
+        drawn = outcome.quantity(f"rendered_{base}")
         # the scatter of a few sets says little of one frame: pooled over the frames, as counts scatter
         relative = _error(drawn) * np.sqrt(sets + 1.0) / np.sqrt(level)
         error = np.sqrt(np.mean(relative**2) / level)
@@ -614,17 +614,13 @@ SECTIONS: dict[str, Section] = {
         record=FrameNumbers,
         dim="frame",
         axes=_named("frame", "Frame"),
-        prefix="frame_",
-        place="frames[frame]",
         caption="Frames, and frames rendered by twins measured without them.",
-        verdicts=[_verdict(_each_frame, "frame_off_percent", "frame_noise_percent")],
+        verdicts=[_verdict(_each_frame, "off_percent", "noise_percent")],
     ),
     "orders": Section(
         record=OrderNumbers,
-        dim="order_name",
-        axes=_named("order_name", "Model"),
-        prefix="order_",
-        place="orders[order_name]",
+        dim="order",
+        axes=_named("order", "Model"),
         caption="Camera models, cross-validated: each frame predicted from the others.",
         note="Chosen: the simplest within one standard error of the best, paired by frames.",
     ),
@@ -632,38 +628,25 @@ SECTIONS: dict[str, Section] = {
         record=TransferPoint,
         dim="level",
         along="level_dn",
-        prefix="transfer_",
-        place="photon_transfer[level]",
-        figures={
-            "photon_transfer": curves(
-                "level", points="transfer_variance_dn2", lines="transfer_fitted_dn2", aspect_ratio=0.4
-            )
-        },
+        figures={"photon_transfer": curves("level", points="variance_dn2", lines="fitted_dn2", aspect_ratio=0.4)},
     ),
     "colours": Section(
         record=ColourPoint,
         dim="knot",
         along="colour",
-        prefix="colour_",
-        place="colour_terms[knot]",
         caption="Colour term, zero at 5040 K.",
-        figures={
-            "colour_term": curves("knot", points="colour_measured_mag", lines="colour_twin_mag", aspect_ratio=0.4)
-        },
+        figures={"colour_term": curves("knot", points="measured_mag", lines="twin_mag", aspect_ratio=0.4)},
     ),
     "causes": Section(
         record=Cause,
         dim="cause",
         axes=_named("cause", "Cause"),
-        prefix="cause_",
-        place="residuals[cause]",
         caption="Residuals of bright stars after the calibration; contributions add in quadrature.",
     ),
     "comparison": Section(
         record=Compared,
         dim="statistic",
         axes=_named("statistic", "Statistic", "key", "label", "real"),
-        place="comparison[statistic]",
         columns="unit real twin off allowed within",
         caption="Real and rendered frames; each frame is rendered by a twin measured without it.",
         note="Difference: (twin − real) / real (for magnitudes, correlations and fractions: twin − real); ±: "
@@ -674,7 +657,6 @@ SECTIONS: dict[str, Section] = {
         record=HalfMagnitude,
         dim="bin",
         along="magnitude_mag",
-        place="completeness[bin]",
         caption="Fraction of the catalogue stars detected, per half magnitude.",
         figures={
             "completeness_plot": curves(
@@ -701,14 +683,11 @@ SECTIONS: dict[str, Section] = {
         record=Feature,
         dim="feature",
         axes=_named("feature", "Feature"),
-        prefix="feature_",
-        place="features[feature]",
         caption="Differences between real and rendered star windows.",
-        figures={"feature_bars": bars("feature", bars="feature_effect")},
+        figures={"feature_bars": bars("feature", bars="effect")},
     ),
     "pose": Section(
         record=LensPose,
-        prefix="lens_",
         vertical=True,
         caption="Detector position behind the known lens, from the frames.",
     ),
@@ -716,11 +695,7 @@ SECTIONS: dict[str, Section] = {
         record=TrueNumber,
         dim="parameter",
         axes=_named("parameter", "Number", units="found"),
-        prefix="known_",
-        place="truth[parameter]",
         caption="Measured values and true values of the rendering camera.",
-        verdicts=[
-            agree("known_found", with_="known_true", each="parameter", false_alarm=2e-3, title="measured against truth")
-        ],
+        verdicts=[agree("found", with_="true", each="parameter", false_alarm=2e-3, title="measured against truth")],
     ),
 }

@@ -97,11 +97,11 @@ class CollimatorShift:
     """Contribution of the collimator to Table 1; the dimensions ``pair``, ``axis`` and ``band`` are described
     elsewhere."""
 
-    part_px: FloatArray = col("Closed form", "px", "+.4f", "part pair axis", json="parts_px", key="collimator_part_px")
-    together_px: FloatArray = col("Together", "px", "+.4f", "pair axis", key="collimator_together_px")
-    seen_px: Any = col("Measured", "px", dims="pair axis", json_error="sigma_px", key="collimator_seen_px")
+    part_px: FloatArray = col("Closed form", "px", "+.4f", "part pair axis")
+    together_px: FloatArray = col("Together", "px", "+.4f", "pair axis")
+    seen_px: Any = col("Measured", "px", dims="pair axis")
     spot_ratio: FloatArray | None = col(
-        "Radius of the rendered spots over the closed form", dims="band", json="", shown=False, default=None
+        "Radius of the rendered spots over the closed form", dims="band", shown=False, default=None
     )
 
 
@@ -111,8 +111,6 @@ def _parts_axis(q: Quantities, _: Any) -> None:
 
 COLLIMATOR = Section(
     record=CollimatorShift,
-    prefix="collimator_",
-    place="collimator",
     axes=_parts_axis,
     table="collimator",
     rows="pair axis",
@@ -162,24 +160,18 @@ class Sight:
         "Line of sight from frame to frame, predicted",
         "arcsec",
         ".3f",
-        json="line_of_sight_between_arcsec_3sigma",
     )
-    within_arcsec: float = col(
-        "Line of sight within a frame, predicted", "arcsec", ".3f", json="line_of_sight_within_arcsec_3sigma"
-    )
+    within_arcsec: float = col("Line of sight within a frame, predicted", "arcsec", ".3f")
     seen_arcsec: Sequence[Measured] = col(
         "Line of sight from frame to frame, measured",
         "arcsec",
         dims="axis",
-        json="line_of_sight_seen_arcsec_3sigma",
     )
-    ratio: Sequence[Measured] = col("Measured / predicted motion of the line of sight", dims="axis", json="")
+    ratio: Sequence[Measured] = col("Measured / predicted motion of the line of sight", dims="axis")
 
 
 SIGHT = Section(
     record=Sight,
-    prefix="collimator_",
-    place="collimator",
     verdicts=[ratio_near("collimator_ratio", within=MOTION_RATIO)],
 )
 
