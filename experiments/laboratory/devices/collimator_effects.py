@@ -119,13 +119,13 @@ COLLIMATOR = Section(
     note="*Measured*: Table 1 of the frames minus Table 1 traced through the lens alone.",
     verdicts=[
         agree(
-            "collimator_seen_px",
-            "collimator_together_px",
+            "seen_px",
+            "together_px",
             slack=FIELD_RATIO,
             title="collimator in Table 1, measured against (n - 1) wedge, air and decollimation",
         ),
         ratio_near(
-            "collimator_spot_ratio",
+            "spot_ratio",
             within=SPOT_RATIO,
             title="radius of rendered spots over its closed form (refocused camera, disk)",
         ),
@@ -172,7 +172,7 @@ class Sight:
 
 SIGHT = Section(
     record=Sight,
-    verdicts=[ratio_near("collimator_ratio", within=MOTION_RATIO)],
+    verdicts=[ratio_near("ratio", within=MOTION_RATIO)],
 )
 
 

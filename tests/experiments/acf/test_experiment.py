@@ -36,8 +36,8 @@ def outcome(guess):
 
 @pytest.mark.slow
 def test_nothing_fails_to_converge_from_the_poor_start(outcome):
-    assert outcome.values("figures_n", method="acc") == 4 * (2 * 3 + 2 + 2 * 2 + 1 + 2)  # by hand
-    assert outcome.values("figures_failed").sum() == 0
+    assert outcome.values("failed.n", method="acc") == 4 * (2 * 3 + 2 + 2 * 2 + 1 + 2)  # by hand
+    assert outcome.values("failed.failed").sum() == 0
 
 
 def test_runs_do_not_depend_on_how_they_are_cut_into_tasks():

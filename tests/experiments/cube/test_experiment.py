@@ -134,13 +134,13 @@ def test_sections_of_a_run(laboratory, performed, monkeypatch):
     monkeypatch.setattr(study, "run_bench", lambda *_, **options: bench)
     monkeypatch.setattr(study, "run_cases", lambda *_: cases)
     outcome = declared.outcome(laboratory.config, study.run(laboratory.config, progress=Progress()))
-    offset, sigma = outcome.values("shown_offset_px"), outcome.errors("shown_offset_px")
-    assert (np.abs(offset - outcome.values("shown_true_offset_px")) < 5.0 * sigma).all()
-    assert outcome.values("budget_measured")[0] == pytest.approx(np.abs(bench.error_arcsec))
+    offset, sigma = outcome.values("shown.offset_px"), outcome.errors("shown.offset_px")
+    assert (np.abs(offset - outcome.values("shown.true_offset_px")) < 5.0 * sigma).all()
+    assert outcome.values("budget.measured")[0] == pytest.approx(np.abs(bench.error_arcsec))
     assert outcome.value("eq13_arcsec") == pytest.approx(2.38, abs=0.01)
-    assert outcome.values("bench_error_arcsec").shape == (8, 4, 3)
-    assert len(outcome.values("trim_inner_deg")) == sum(len(trim.rows) for trim in bench.trims)
-    assert np.abs(outcome.values("shown_residual_px")).max() < 0.1
+    assert outcome.values("benches.error_arcsec").shape == (8, 4, 3)
+    assert len(outcome.values("trims.inner_deg")) == sum(len(trim.rows) for trim in bench.trims)
+    assert np.abs(outcome.values("shown.residual_px")).max() < 0.1
     assert len(study.draw_pictures(outcome, 0).axes) == 3
 
 

@@ -80,9 +80,9 @@ def test_everything_that_was_described_is_there(folder):
     assert sorted(page["layers"][0]["x"]) == sorted(first.column("photon_x_px").to_numpy()[lit].round(4))
     assert page["layers"][-1]["name"] == "errors against true stars"
     with xr.open_dataset(folder / "results.nc", engine="scipy") as data:
-        assert data["centroid_error_px"].attrs["units"] == "px"
-        assert data["centroid_error_px"].attrs["ancillary_variables"] == "centroid_error_px_error"
-        assert data["frame_error_arcsec"].shape == (FRAMES, 3)
+        assert data["centroids.error_px"].attrs["units"] == "px"
+        assert data["centroids.error_px"].attrs["ancillary_variables"] == "centroid_error_px_error"
+        assert data["solved_frames.error_arcsec"].shape == (FRAMES, 3)
 
 
 def test_bound_of_centroids_is_that_of_gaussian_spots(folder, truth):

@@ -191,7 +191,7 @@ def test_a_run_on_coordinates(rig, monkeypatch):
     assert sigma[1] > sigma[0]  # clocks
     assert outcome.values("one_minus_resultant_length") == pytest.approx((sigma / RAD_ARCSEC) ** 2, rel=0.05)
     assert outcome.values("expected_arcsec", cause="clocks", acquisition="static") == 0.0
-    assert outcome.value("same_data_unknowns") == 14
+    assert outcome.value("same_data.unknowns") == 14
     assert outcome.values("closed_form_percent") == pytest.approx([0.0343, 1.557], rel=2e-3)
 
 

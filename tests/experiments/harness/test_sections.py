@@ -1,5 +1,7 @@
 """Sections and verdicts: what follows from a record, what a verdict allows, and that every name is described."""
 
+import re
+from collections import Counter
 from dataclasses import dataclass
 from importlib import import_module
 from types import SimpleNamespace
@@ -113,36 +115,49 @@ def test_sections_name_quantities_that_are_described(name):
     """Names in figures, verdicts, columns are strings that only a run would check."""
     declared = import_module(declaration_of(f"experiments.{name}")).experiment
     sections = declared.parts(None)
-    known = {section.prefix + field for section in sections.values() for field in section.columns_of()}
+    of_section = {key: set(section.columns_of()) for key, section in sections.items()}
+    qualified = {f"{key}.{field}" for key, fields in of_section.items() for field in fields}
+    count = Counter(field for fields in of_section.values() for field in fields)
+    alone = {field for field, sections_with in count.items() if sections_with == 1}
     for key, section in sections.items():
-        fields = section.columns_of()
+        known = of_section[key] | alone | qualified
         assert not section.along or section.along in section.record.__dataclass_fields__, key
-        assert {one for one in section.columns.split() if one not in fields} <= known, key
-        assert set(section.json) <= set(fields), key
+        assert set(section.columns.split()) <= known, key
         drawn = {one for figure in section.figures.values() for one in getattr(figure, "names", ())}
         judged = {one for verdict in section.verdicts for one in verdict.names}
         assert drawn | judged <= known, key
+
+
+QUERY = re.compile(r"""(?:value|values|errors|quantity|heading|dims)\("([\w.]+)"|"([\w.]+)" (?:not )?in outcome""")
+
+
+@pytest.mark.parametrize("name", found())
+def test_reports_name_quantities_that_are_described(name):
+    declared = import_module(declaration_of(f"experiments.{name}")).experiment
+    fields = [(key, field) for key, section in declared.parts(None).items() for field in section.columns_of()]
+    count = Counter(field for _, field in fields)
+    known = {f"{key}.{field}" for key, field in fields} | {field for field, sections in count.items() if sections == 1}
+    named = {first or second for first, second in QUERY.findall(declared.template.read_text(encoding="utf-8"))}
+    assert {one for one in named if not one.endswith(".")} <= known
 
 
 def test_records_become_quantities_tables_and_json():
     @dataclass(frozen=True, kw_only=True)
     class Level:
         signal_e: float = col("Signal", "e-", ".0f")
-        error_arcsec: list = col("Error", "arcsec", dims="axis", json="found.error")
+        error_arcsec: list = col("Error", "arcsec", dims="axis")
         hidden_px: float | None = col("Hidden", "px", shown=False, default=None)
 
-    levels = Section(record=Level, dim="level", along="signal_e", place="levels[level]", table="levels", across="axis")
+    levels = Section(record=Level, dim="level", along="signal_e", table="levels", across="axis")
     q = Quantities()
     q.axis("axis", ["x", "y"], "Axis")
     rows = [Level(signal_e=s, error_arcsec=[s / 100, s / 50], hidden_px=s / 10) for s in (100.0, 400.0)]
     outcome = Outcome(
         config=None, result={"levels": rows}, data=described({"levels": levels}, q, {"levels": rows}).dataset
     )
-    assert to_results(outcome.data)["levels"][1] == {
-        "signal_e": 400.0,
-        "found": {"error": {"x": 4.0, "y": 8.0}},
-        "hidden_px": 40.0,
-    }
+    levels_of_summary = to_results(outcome.data)["levels"]
+    assert [levels_of_summary[field]["value"][1] for field in ("signal_e", "hidden_px")] == [400.0, 40.0]
+    assert levels_of_summary["error_arcsec"]["value"][1] == {"x": 4.0, "y": 8.0}
     shown, whole = (
         pivot(outcome.data, tabulated({"levels": levels}, outcome, every=e)["levels"]) for e in (False, True)
     )

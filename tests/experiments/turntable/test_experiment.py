@@ -75,7 +75,7 @@ def test_settings_that_do_not_do(setting: str, words: str) -> None:
 
 
 PLACES = {"columns": 7, "rows": 5}
-STUDY = {"runs": 20, "sweep_runs": 5, "reading_noise_arcsec": (0.1, 0.3), "field_deg": (3.0, 12.0)}
+STUDY = {"runs": 20, "readings.runs": 5, "reading_noise_arcsec": (0.1, 0.3), "field_deg": (3.0, 12.0)}
 SIGMA_PX = 0.003
 
 
@@ -139,9 +139,9 @@ def test_a_run_finds_what_was_set(table: str, outcome) -> None:
     assert rms == pytest.approx(predicted, rel=4.0 / np.sqrt(2 * 35))
     error, limit = outcome.values("map_error_arcsec", table=table)[0], outcome.value("map_limit_arcsec", table=table)
     assert error < limit
-    point = outcome.values("principal_point_sigma_arcsec", table=table).max()
+    point = outcome.values("line_of_sight.principal_point_sigma_arcsec", table=table).max()
     line = outcome.value("map_predicted_arcsec", table=table) / np.sqrt(2.0)
-    assert outcome.value("point_over_line", table=table) == pytest.approx(point / line)
+    assert outcome.value("line_of_sight.point_over_line", table=table) == pytest.approx(point / line)
     drawn = outcome.values("map_monte_carlo_arcsec", table=table)
     assert outcome.value("map_bound_arcsec", table=table) == pytest.approx(drawn, rel=0.5)
 
