@@ -61,7 +61,8 @@ def rate(settings: list[str], frames: int, workers: int) -> dict[str, Any]:
         )
         if done.returncode:
             sys.exit(done.stderr or done.stdout)
-        found: dict[str, Any] = json.loads((out / "summary.json").read_text(encoding="utf-8"))["results"]
+        results = json.loads((out / "summary.json").read_text(encoding="utf-8"))["results"]
+        found: dict[str, Any] = {name: number.get("value") for name, number in results["frames"].items()}
         size = sum(file.stat().st_size for part in ("frames", "truth") for file in (out / part).iterdir())
     found["stars_per_frame"] = found["stars"] / found["frames"]
     found["megabytes_per_frame"] = size / found["frames"] / 1e6

@@ -264,7 +264,7 @@ class BenchRecord:
     pixel_arcsec: float = col("Angle of a pixel", "arcsec", ".2f")
     rms_spot_um: FloatArray = col("RMS spot radius", "um", ".1f", "band")
     reference_k: float = col("Reference star", "K", ".0f")
-    temperature_k: FloatArray = col("Temperature", "K", ".0f", "temperature")
+    temperature_k: FloatArray = col("Temperature", "K", ".0f", "temperature_k")
 
 
 def axes(config: Config) -> Quantities:
@@ -279,8 +279,7 @@ def axes(config: Config) -> Quantities:
     q.axis("step", steps, "Calibration", names=["as measured", *list(CALIBRATIONS)[1:]])
     q.axis("band", [f"{centre:g}" for centre in wheel.centres_nm], "Band", unit="nm")
     q.axis("point", np.arange(len(CORNERS) * config.target.rows * config.target.columns) + 1, "Target point")
-    kelvin = {"unit": "K", "format": ".0f", "key": "temperature_k"}
-    q.axis("temperature", config.stars.temperatures_k, "Effective temperature", **kelvin)
+    q.axis("temperature_k", config.stars.temperatures_k, "Effective temperature", unit="K", format=".0f")
     return q
 
 

@@ -59,10 +59,10 @@ def of_lenses(centred: str, moved: str = "") -> Mapping[str, str]:
 class Stars:
     """Stars through one lens against the reference star, and ACC18's rule of one third."""
 
-    rms_px: FloatArray = col("RMS over the field", "px", ".4f", "temperature")
-    mean_size_px: FloatArray = col("Mean over the field", "px", ".4f", "temperature")
-    max_px: FloatArray = col("Largest in the field", "px", ".4f", "temperature")
-    mean_px: FloatArray = col("Mean shift", "px", ".4f", "temperature component")
+    rms_px: FloatArray = col("RMS over the field", "px", ".4f", "temperature_k")
+    mean_size_px: FloatArray = col("Mean over the field", "px", ".4f", "temperature_k")
+    max_px: FloatArray = col("Largest in the field", "px", ".4f", "temperature_k")
+    mean_px: FloatArray = col("Mean shift", "px", ".4f", "temperature_k component")
     most_different_px: float = col(
         "RMS distance of the two most different stars",
         "px",
@@ -98,12 +98,12 @@ STARS = Section(
     record=Stars,
     dim="lens",
     table="stars",
-    rows="lens temperature",
+    rows="lens temperature_k",
     columns="rms_px mean_size_px max_px",
     caption="Shift of black-body stars against the reference star.",
     figures={
         "star_shifts": curves(
-            "temperature",
+            "temperature_k",
             lines="rms_px mean_size_px max_px",
             panels="lens",
             dashes="third_px",

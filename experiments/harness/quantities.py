@@ -29,7 +29,7 @@ IN_SUMMARY = 4000
 _EXACT_INTEGERS = 2**53  # identifiers of stars are beyond what a float64 can tell apart
 
 _SHOWN = {"arcsec": "″", "arcmin": "′", "deg": "°", "um": "µm", "e-": "e⁻", "e-/s": "e⁻/s", "sigma": "σ"}
-_SHOWN |= {"percent": "%", "degC": "°C", "e-/DN": "e⁻/DN"}
+_SHOWN |= {"percent": "%", "degC": "°C", "e-/DN": "e⁻/DN", "DN2": "DN²"}
 _SHOWN |= {"deg/s": "°/s", "deg/s2": "°/s²", "s2": "s²", "1e-6/K": "10⁻⁶/K"}
 
 
@@ -247,7 +247,7 @@ def _record(quantity: Quantity, data: xr.Dataset) -> dict[str, Any]:
 def _unit_of(quantity: Quantity, data: xr.Dataset) -> Any:
     """Unit, or the unit of each member along the dimension that has units of its own ("{DIMENSION}")."""
     dim = quantity.unit[1:-1]
-    if quantity.unit != f"{{{dim}}}":
+    if quantity.unit != f"{{{dim}}}" or dim not in quantity.dims:
         return quantity.unit
     return dict(zip(_keys(data, dim) or (), data.coords[f"{dim}_unit"].values.tolist(), strict=True))
 

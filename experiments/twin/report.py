@@ -201,8 +201,8 @@ class TransferPoint:
     """Blocks of like background."""
 
     level_dn: float = col("Background", "DN", ".1f")
-    variance_dn2: float = col("Variance of a pixel", "{DN2}", ".2f")
-    fitted_dn2: float = col("Photon transfer and pattern", "{DN2}", ".2f")
+    variance_dn2: float = col("Variance of a pixel", "DN2", ".2f")
+    fitted_dn2: float = col("Photon transfer and pattern", "DN2", ".2f")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -40,16 +40,16 @@ class Config(ExperimentConfig):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Level:
-    level_e: float = col("Level", "e-", ".0f", json="")
-    mean_e: Measured = col("Mean", "e-", json="levels[level].mean_e")
-    variance_e2: Measured = col("Variance", "e-2", json="levels[level].variance_e2")
-    deviation_sigma: float = col("Deviation", "sigma", "+.2f", json="")
+    level_e: float = col("Level", "e-", ".0f")
+    mean_e: Measured = col("Mean", "e-")
+    variance_e2: Measured = col("Variance", "e-2")
+    deviation_sigma: float = col("Deviation", "sigma", "+.2f")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Worst:
     worst: Measured = col("Largest deviation of a variance", "sigma", ".2f")
-    limit_sigma: float = col("Limit", "sigma", json="")
+    limit_sigma: float = col("Limit", "sigma")
 
 
 def run(config, *, progress):

@@ -106,12 +106,12 @@ def test_the_command_writes_all_of_it(sensor_file, tmp_path, capsys):
     line = ["--sensor", str(sensor), "--set", "sky.attitudes=20", "--sweep", "exposure_s=0.2:0.3:2", "--out", str(out)]
     assert main(line, own_process=False) == 0
     results = json.loads((out / "summary.json").read_text())["results"]
-    assert results["keys"]["first"] == "instrument.exposure_s"
-    assert [point["first"] for point in results["points"]] == [0.2, 0.3]
-    assert [point["meets"] for point in results["points"]] == [True, False]
+    assert results["swept"]["first"]["value"] == "instrument.exposure_s"
+    assert results["points"]["instrument_exposure_s"] == {"unit": "s", "dims": ["point"], "value": [0.2, 0.3]}
+    assert results["points"]["meets"]["value"] == [True, False]
     every = Table.read(out / "sweep.ecsv", format="ascii.ecsv")
     assert every["instrument_exposure_s"].unit == "s"
-    assert every["nea_arcsec"][1] == results["points"][1]["nea_arcsec"]
+    assert every["nea_arcsec"][1] == results["points"]["nea_arcsec"]["value"][1]
     page = (out / "report.html").read_text()
     assert "1 of 2 points meet the requirement" in page
     assert "focus_shift_um" in page  # asked, and said not to be judged

@@ -118,12 +118,13 @@ def test_counts_are_those_of_the_truth(folder, truth):
     """Flag bits as the data card lists them: 2 off the edge, 4 blended, 64 no light."""
     results = json.loads((folder / "summary.json").read_text(encoding="utf-8"))["results"]
     lit = (truth["flags"] & 64) == 0
-    assert results["stars"] == lit.sum()
-    assert results["completeness"]["stars"] == (lit & (truth["snr"] >= 10.0) & ((truth["flags"] & 2) == 0)).sum()
+    assert results["frames"]["stars"]["value"] == lit.sum()
+    bright = lit & (truth["snr"] >= 10.0) & ((truth["flags"] & 2) == 0)
+    assert results["detection"]["bright_stars"]["value"] == bright.sum()
     flags = {row["flag"]: row["stars"] for row in Table.read(folder / "flags.ecsv")}
     assert flags["blended"] == (lit & ((truth["flags"] & 4) != 0)).sum()
     assert sum(Table.read(folder / "completeness.ecsv")["stars"]) == (lit & ((truth["flags"] & 2) == 0)).sum()
-    assert results["frames_made"] == FRAMES == results["solver"]["attempted"]
+    assert results["frames"]["frames_made"]["value"] == FRAMES == results["attitudes"]["attempted"]["value"]
 
 
 def test_the_data_card_names_every_column(folder):

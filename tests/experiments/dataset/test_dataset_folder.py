@@ -155,7 +155,7 @@ def test_what_is_missing_or_damaged_is_made_again(dataset, tmp_path):
     assert run(folder, *VERIFIED) == 0
     assert data(folder) == data(dataset)
     assert all(file.exists() for file in mine)  # only temporary files of our own were cleared away
-    assert json.loads((folder / "summary.json").read_text())["results"]["frames_made"] == 3
+    assert json.loads((folder / "summary.json").read_text())["results"]["frames"]["frames_made"]["value"] == 3
     for name in closing:
         assert (folder / name).read_bytes() == (dataset / name).read_bytes(), name
 

@@ -47,7 +47,8 @@ def data(folder):
 
 
 def results(folder):
-    return json.loads((folder / "summary.json").read_text())["results"]
+    frames = json.loads((folder / "summary.json").read_text())["results"]["frames"]
+    return {name: number["value"] for name, number in frames.items() if "value" in number}
 
 
 def end_well(process):

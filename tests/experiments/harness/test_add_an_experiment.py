@@ -45,14 +45,14 @@ def test_it_is_listed_and_runs(added, capsys):
     out = added / "out"
     assert starbench(["photon_transfer", "--seed", "5", "--out", str(out)]) == 0
     results = json.loads((out / "summary.json").read_text(encoding="utf-8"))["results"]
-    gain, stated = results["gain"]["measured"], load_detector("cmv4000").gain_dn_per_e
+    gain, stated = results["gain"]["gain"], load_detector("cmv4000").gain_dn_per_e
     # variance of a variance of n normal numbers 2 s^4 / n: 0.17 % a level of 40 frames of 128 x 128 pixels; the slope
     # at no light of a quadratic through four of them is three times as uncertain
     assert gain["value"] == pytest.approx(stated, rel=5 * 3 * np.sqrt(2 / (40 * 128**2)))
     assert gain["uncertainty"] < 0.006 * stated
     report = (out / "report.html").read_text(encoding="utf-8")
     assert "<svg" in report
-    assert f"{results['levels'][0]['mean_dn']:.1f}" in report
+    assert f"{results['levels']['mean_dn']['value'][0]:.1f}" in report
     assert (out / "levels.ecsv").exists()
     assert starbench(["photon_transfer", "--set", "framse=3"]) == 2
     assert "frames" in capsys.readouterr().err

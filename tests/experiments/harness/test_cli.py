@@ -50,13 +50,13 @@ def test_quantities_are_read_back_by_other_programs(output):
     folder = output[1]
     saved = np.load(folder / "frames" / "variance.npy").tolist()
     levels = json.loads((folder / "summary.json").read_text())["results"]["levels"]
-    assert [one["variance_e2"]["value"] for one in levels] == saved
+    assert levels["variance_e2"]["value"] == saved
     assert AstropyTable.read(folder / "levels.ecsv", format="ascii.ecsv")["variance_e2"].tolist() == saved
     with netcdf_file(folder / "results.nc", mmap=False) as data:
-        variable = data.variables["variance_e2"]
+        variable = data.variables["levels.variance_e2"]
         assert variable.data.tolist() == saved
         assert variable.long_name == b"Variance"
-        assert variable.ancillary_variables == b"variance_e2_error"
+        assert variable.ancillary_variables == b"levels.variance_e2_error"
         assert variable.dimensions == ("level",)
 
 
@@ -99,15 +99,8 @@ def test_report_stands_alone_and_is_escaped(output):
 
 def test_same_seed_same_bytes(shot_noise, tmp_path, output):
     assert shot_noise.main(["--out", str(tmp_path / "again"), "--seed", "3", "--set", "label=<b>7 & 8</b>"]) == 0
-    for name in ("levels.ecsv", "frames/variance.npy"):
+    for name in ("summary.json", "results.nc", "levels.ecsv", "frames/variance.npy"):
         assert (tmp_path / "again" / name).read_bytes() == (output[1] / name).read_bytes()
-
-    def numbers(folder):
-        text = (folder / "summary.json").read_text(encoding="utf-8")
-        return re.subn(r'"(runtime_s|peak_memory_mb)": [\d.]+', "", text)
-
-    assert numbers(tmp_path / "again") == numbers(output[1])
-    assert numbers(output[1])[1] == 2
 
     def drawings(folder):
         return re.findall(r"<svg.*?</svg>", (folder / "report.html").read_text(encoding="utf-8"), flags=re.DOTALL)

@@ -51,7 +51,7 @@ def judged(folder, frames, *, gain=GAIN, offset=OFFSET, centroid="gaussian", mor
     config = Config(own_frames=str(folder), centroid=centroid, compare=())
     own = experiment.instead(config)
     outcome = own.outcome(config, own.run(config, progress=Progress()))
-    return {one.name: one for one in own.judge(outcome)}, own.results(outcome)
+    return {one.name: one for one in own.judge(outcome)}, outcome
 
 
 def failed(criteria):
@@ -145,11 +145,11 @@ def test_good_frames_hold_every_criterion(tmp_path):
     criteria, results = judged(tmp_path, still(np.random.default_rng(12)), centroid="cog")
     assert not failed(criteria)
     assert len(criteria) >= 8
-    gain = results["gain_dn_per_e"]["photon_transfer"]
+    gain = results.value("transfer_gain")
     assert gain.value == pytest.approx(GAIN, abs=4 * gain.uncertainty)
     assert gain.uncertainty < 0.05 * GAIN
-    assert results["without_flat"]["one_percent_moves_px"] == pytest.approx(0.01 / np.sqrt(8 * np.pi), rel=0.05)
-    assert results["series"][0]["effective_frames"] == FRAMES
+    assert results.value("percent_px") == pytest.approx(0.01 / np.sqrt(8 * np.pi), rel=0.05)
+    assert results.values("effective_frames")[0] == FRAMES
 
 
 def test_a_gain_ten_per_cent_off_is_named_by_flats(tmp_path, rng):
@@ -162,7 +162,7 @@ def test_a_gain_ten_per_cent_off_is_named_by_flats(tmp_path, rng):
     frames = [readout(expected(), rng) for _ in range(FRAMES)]
     more = "flat = 'flat.fits'\ndark = 'dark.fits'\n"
     criteria, results = judged(tmp_path / "a", frames, more=more)
-    found = results["gain_dn_per_e"]["photon_transfer"]
+    found = results.value("transfer_gain")
     assert found.value == pytest.approx(GAIN, abs=4 * found.uncertainty)
     assert found.uncertainty < 0.02 * GAIN
     said = failed(criteria)
@@ -179,9 +179,8 @@ def test_two_frames_are_not_judged(tmp_path, rng):
     criteria, results = judged(tmp_path / "a", still(rng, 2))
     noise = next(one for name, one in criteria.items() if name.startswith("centroid scatter"))
     assert noise.passed is None
-    assert "Only 2 frames in still, fewer than 30" in results["few_frames"]
-    interval = results["interval_arcsec_3sigma"][0]["gaussian"]["x"]
-    low, high, value = *interval.values(), results["temporal_error_arcsec_3sigma"][0]["gaussian"]["x"].value
+    assert "Only 2 frames in still, fewer than 30" in results.value("few_text")
+    low, high, value = (results.values(name)[0, 0, 0] for name in ("low_arcsec", "high_arcsec", "measured_arcsec"))
     assert low < value < high
     assert high > 1.5 * low
 

@@ -97,13 +97,13 @@ def test_chromatic_shifts_that_galsim_put_in_come_out(tmp_path, engine):
         which = np.linalg.norm(place[:, None] - np.concatenate(injected[600]), axis=2).argmin(1)
         true = (np.concatenate(injected[high]) - np.concatenate(injected[low]))[which]
         for a, axis in enumerate("xy"):
-            pulls.append((here[f"shift_{axis}_px"] - true[:, a]) / here[f"shift_{axis}_px_error"])
+            pulls.append((here[f"shift_px_{axis}"] - true[:, a]) / here[f"shift_px_{axis}_error"])
         mean = (np.concatenate(injected[high]) - np.concatenate(injected[low])).mean(0) / 2
         for axis, value in zip("xy", mean, strict=True):
-            found = results["table1_px"][pair][axis]
-            assert found["value"] == pytest.approx(value, abs=4 * found["uncertainty"])
-            assert found["uncertainty"] < 1e-3
-        left = results["residual_px"][pair]
+            table1, error = (results["pairs"]["table1_px"][part][pair][axis] for part in ("value", "uncertainty"))
+            assert table1 == pytest.approx(value, abs=4 * error)
+            assert error < 1e-3
+        left = results["calibration"]["residual_px"]["value"][pair]
         assert left["as found"] > 2 * left["both"]
     assert np.mean(np.square(pulls)) == pytest.approx(1.0, abs=4 * np.sqrt(2.5 / np.size(pulls)))  # a band is shared
 

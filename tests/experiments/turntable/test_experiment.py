@@ -75,7 +75,7 @@ def test_settings_that_do_not_do(setting: str, words: str) -> None:
 
 
 PLACES = {"columns": 7, "rows": 5}
-STUDY = {"runs": 20, "readings.runs": 5, "reading_noise_arcsec": (0.1, 0.3), "field_deg": (3.0, 12.0)}
+STUDY = {"runs": 20, "sweep_runs": 5, "reading_noise_arcsec": (0.1, 0.3), "field_deg": (3.0, 12.0)}
 SIGMA_PX = 0.003
 
 
