@@ -120,17 +120,18 @@ class ExperimentRun:
         """Write summary, tables, dataset, report and provenance."""
         from experiments.harness.plotting import house_style
         from experiments.harness.provenance import collect, file_digests, without_paths
-        from experiments.harness.quantities import write_netcdf
+        from experiments.harness.quantities import to_coordinates, to_results, write_netcdf
         from experiments.harness.summary import dumps, summary
         from experiments.harness.tables import write_ecsv
 
         experiment, outcome = self.experiment, self.outcome
-        content = summary(experiment.name, outcome, self.criteria)
+        data = outcome.data
+        content = summary(experiment.name, outcome.config, to_results(data), to_coordinates(data), self.criteria)
         content["config"] = without_paths(content["config"])
         (folder / "summary.json").write_text(dumps(content), encoding="utf-8")
         for name, table in experiment.make_tables(outcome, every=True).items():
             write_ecsv(table, folder / f"{name}.ecsv")
-        write_netcdf(outcome.data, folder / "results.nc")
+        write_netcdf(data, folder / "results.nc")
         if experiment.files is not None:
             experiment.part(experiment.files)(outcome.result, folder)
         name, config = experiment.name, content["config"]

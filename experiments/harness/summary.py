@@ -10,15 +10,12 @@ import operator
 import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import PurePath
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import BaseModel
 
 from optics.errors import DomainError
-
-if TYPE_CHECKING:
-    from experiments.harness.quantities import Outcome
 
 Relation = Literal["<=", "<", ">=", ">"]
 _RELATIONS = {"<=": operator.le, "<": operator.lt, ">=": operator.ge, ">": operator.gt}
@@ -154,17 +151,21 @@ def criteria_lines(criteria: Sequence[Criterion], width: int = 80) -> list[str]:
     return lines + textwrap.wrap(note, width)
 
 
-def summary(experiment: str, outcome: Outcome, criteria: Sequence[Criterion]) -> dict[str, Any]:
+def summary(
+    experiment: str,
+    config: BaseModel,
+    results: Mapping[str, Any],
+    coordinates: Mapping[str, Any],
+    criteria: Sequence[Criterion],
+) -> dict[str, Any]:
     """The content of ``summary.json``."""
-    from experiments.harness.quantities import to_coordinates, to_results
-
-    settings = outcome.config.model_dump(mode="json")
+    settings = config.model_dump(mode="json")
     return {
         "experiment": experiment,
         "seed": settings.get("seed"),
         "config": to_json(settings),
-        "results": to_json(to_results(outcome.data)),
-        "coordinates": to_json(to_coordinates(outcome.data)),
+        "results": to_json(results),
+        "coordinates": to_json(coordinates),
         "criteria": [
             {
                 "name": criterion.name,
