@@ -34,12 +34,10 @@ def attitude_covariance(
         for b in range(a, 3):
             outer[:, a, b] = outer[:, b, a] = np.bincount(frame, weight * v_cam[:, a] * v_cam[:, b], frames)
     trace = np.einsum("fii->f", outer)
-    information = trace[:, None, None] * np.eye(3) - outer
-    adjugate = adjugate3(information)
-    determinant = np.einsum("fi,fi->f", information[:, 0, :], adjugate[:, :, 0])
-    known = determinant > DEGENERATE * trace**3
+    adjugate, determinant = adjugate3(trace[:, None, None] * np.eye(3) - outer)
+    regular = determinant > DEGENERATE * trace**3
     covariance = np.full((frames, 3, 3), np.inf)
-    covariance[known] = adjugate[known] / determinant[known, None, None]
+    covariance[regular] = adjugate[regular] / determinant[regular, None, None]
     return covariance
 
 

@@ -157,21 +157,18 @@ class AttitudeSolutions:
 
     def frame(self, index: int) -> AttitudeSolution:
         """The solution of one frame."""
-        status = str(self.status[index])
-        found = AttitudeSolution(
+        numbers = {name: getattr(self, name)[index].item() for name in _PER_FRAME}
+        solution = AttitudeSolution(
             rotation=self.rotation[index],
             covariance_rad2=self.covariance_rad2[index],
-            status=status,
             message="",
-            parity=int(self.parity[index]),
-            loss=float(self.loss[index]),
-            expected_loss=float(self.expected_loss[index]),
-            probability=float(self.probability[index]),
-            sigma_rad=float(self.sigma_rad[index]),
-            stars=int(self.stars[index]),
             exchanged=self.exchanged[index],
+            **numbers,
         )
-        return replace(found, message=_message(found))
+        return replace(solution, message=_message(solution))
+
+
+_PER_FRAME = ("status", "parity", "loss", "expected_loss", "probability", "sigma_rad", "stars")
 
 
 def solve_wahba(
@@ -259,14 +256,14 @@ def solve_wahba_many(
     weights = _weights(sigma_rad, weight, len(v_cam))
     stars = np.asarray(np.bincount(index, minlength=count), np.int64)
     total = _counted(index, weights, count)
-    share = weights / np.where(total > 0, total, 1.0)[index]
-    seen, reference = np.ascontiguousarray(v_cam.T), np.ascontiguousarray(v_ref.T)
-    profile = _summed(share * seen, reference, index, count)
+    fraction = weights / np.where(total > 0, total, 1.0)[index]
+    measured, reference = np.ascontiguousarray(v_cam.T), np.ascontiguousarray(v_ref.T)
+    profile = _summed(fraction * measured, reference, index, count)
     matrix = rotation_quest(profile) if method == "quest" else rotation_svd(profile)
 
     predicted = np.matmul(matrix[index], v_ref[:, :, None])[:, :, 0].T
-    loss = 0.5 * _counted(index, weights * np.sum((seen - predicted) ** 2, axis=0), count)
-    outer = matrix @ _summed(share * reference, reference, index, count) @ matrix.swapaxes(1, 2)
+    loss = 0.5 * _counted(index, weights * np.sum((measured - predicted) ** 2, axis=0), count)
+    outer = matrix @ _summed(fraction * reference, reference, index, count) @ matrix.swapaxes(1, 2)
     # 2 * smallest eigenvalue of B R^T: what a reflection loses (positive) or gains (negative) against the rotation.
     symmetric = profile @ matrix.swapaxes(1, 2)
     smallest = np.asarray(np.linalg.eigvalsh(0.5 * (symmetric + symmetric.swapaxes(1, 2)))[:, 0], np.float64)
@@ -294,10 +291,10 @@ def _with_exchanges(
         return solved
     status, exchanged = np.array(solved.status), np.array(solved.exchanged)
     for frame in np.flatnonzero(doubtful):
-        mine = np.flatnonzero(index == frame)
-        pair, mended = best_exchange(v_cam[mine], v_ref[mine], weights[mine], matrix[frame])
-        if mended < EXCHANGED_PART * min(loss[frame], max(reflected[frame], 0.0)):
-            status[frame], exchanged[frame] = "exchanged", mine[pair]
+        rows = np.flatnonzero(index == frame)
+        pair, loss_exchanged = best_exchange(v_cam[rows], v_ref[rows], weights[rows], matrix[frame])
+        if loss_exchanged < EXCHANGED_PART * min(loss[frame], max(reflected[frame], 0.0)):
+            status[frame], exchanged[frame] = "exchanged", rows[pair]
     return replace(solved, status=status, exchanged=exchanged)
 
 
@@ -353,13 +350,10 @@ def _covariance(outer: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Inverse (f, 3, 3) of ``I - outer`` and its smallest eigenvalue (f,), the latter within a factor of three."""
     # The weights add up to one, so that tr(outer) I - outer is the information per unit of weight.
     trace = np.trace(outer, axis1=1, axis2=2)
-    information = trace[:, None, None] * np.eye(3) - outer
-    adjugate = adjugate3(information)
-    determinant = np.einsum("fi,fi->f", information[:, 0, :], adjugate[:, :, 0])
+    adjugate, determinant = adjugate3(trace[:, None, None] * np.eye(3) - outer)
     minors = np.trace(adjugate, axis1=1, axis2=2)
     spread = np.where(minors > 0, determinant / np.where(minors > 0, minors, 1.0), 0.0)
-    safe = np.where(spread > 0, determinant, 1.0)
-    return adjugate / safe[:, None, None], spread
+    return adjugate / np.where(spread > 0, determinant, 1.0)[:, None, None], spread
 
 
 def _counted(index: NDArray[np.int64], values: FloatArray, count: int) -> FloatArray:
@@ -419,12 +413,12 @@ def _weights(sigma_rad: ArrayLike | None, weight: ArrayLike | None, n: int) -> F
     return np.asarray(values if sigma_rad is None else values**-2)
 
 
-def _message(found: AttitudeSolution) -> str:
-    stars, status = found.stars, found.status
+def _message(solution: AttitudeSolution) -> str:
+    stars, status = solution.stars, solution.status
     if status == "degenerate":
         return f"{stars} stars do not fix a rotation: at least two in different directions are needed"
     if status == "exchanged":
-        first, second = found.exchanged
+        first, second = solution.exchanged
         return f"stars {first} and {second} (rows) are interchanged: with exchanged identities the {stars} stars fit"
     if status == "mirrored":
         return (
@@ -433,7 +427,7 @@ def _message(found: AttitudeSolution) -> str:
         )
     if status == "inconsistent":
         return (
-            f"loss {found.loss:.4g} of {stars} stars where {found.expected_loss:.4g} is expected: wrong matches, "
+            f"loss {solution.loss:.4g} of {stars} stars where {solution.expected_loss:.4g} is expected: wrong matches, "
             "a wrong camera model or too small a sigma"
         )
-    return joined(f"{stars} stars", found.misfit.note)
+    return joined(f"{stars} stars", solution.misfit.note)

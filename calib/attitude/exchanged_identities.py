@@ -27,15 +27,15 @@ def best_exchange(
 
     Shapes: ``v_cam`` (n, 3), ``v_ref`` (n, 3), ``weight`` (n,), ``rotation`` (3, 3), returns (2,).
     """
-    miss = weight * np.sum((v_cam - v_ref @ rotation.T) ** 2, axis=1)
-    tried = np.sort(np.argsort(-miss, kind="stable")[:MOST_STARS])
+    square = weight * np.sum((v_cam - v_ref @ rotation.T) ** 2, axis=1)
+    tried = np.sort(np.argsort(-square, kind="stable")[:MOST_STARS])
     i, j = (tried[k] for k in np.triu_indices(len(tried), 1))
     weighted = weight[:, None] * v_cam
     change = (weighted[i] - weighted[j])[:, :, None] * (v_ref[j] - v_ref[i])[:, None, :]
     profile = (weighted.T @ v_ref + change) / weight.sum()
-    u, size, vt = np.linalg.svd(profile)
+    u, singular_values, vt = np.linalg.svd(profile)
     parity = np.sign(np.linalg.det(u) * np.linalg.det(vt))
-    best = int(np.argmax(size[:, 0] + size[:, 1] + parity * size[:, 2]))
+    best = int(np.argmax(singular_values[:, :2].sum(axis=1) + parity * singular_values[:, 2]))
     # the loss itself from the residuals: the difference above loses the digits of small angles
     turn = (u[best] * [1.0, 1.0, parity[best]]) @ vt[best]
     swapped = np.array(v_ref)

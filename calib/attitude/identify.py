@@ -38,6 +38,7 @@ from optics.units import DEG_RAD, RAD_ARCSEC
 
 TRIM_SIGMA = 5.0  # matches further off are taken for wrong
 TRIM_ROUNDS = 10
+MEDIAN_RAYLEIGH = 1.1774  # median length of a residual of two axes over its standard deviation per axis
 
 MOST_LATTICE_FIELDS, DENSEST_LATTICE = 60_000, 100
 """Fields for which patterns are made, so that narrow ones take seconds: fewer than tetra3rs's hundred in every field of
@@ -211,37 +212,42 @@ def identify(
     ideal = model.geometry.centre_px + focal_px * v_cam[:, :2] / v_cam[:, 2:]
     centred = pixel_to_tetra3rs(ideal[:, 0], ideal[:, 1], size_px=size_px)
     camera = tetra.CameraModel(focal_px, *size_px)
-    found = database.solve_from_centroids(
+    solved = database.solve_from_centroids(
         np.column_stack([*centred, np.arange(len(rows), 0, -1)]),
         camera_model=camera,
         fov_max_error_deg=float(camera.fov_deg * focal_length_error),
         solve_timeout_ms=max(1, round(1000 * timeout_s)),
     )
-    if not found:
-        status = found.status if found.status in ("timeout", "too_few") else "no_match"
-        return failed(status, f"tetra3rs: {found.status} with {len(rows)} detections")
-    if found.parity_flip:
+    if not solved:
+        status = solved.status if solved.status in ("timeout", "too_few") else "no_match"
+        return failed(status, f"tetra3rs: {solved.status} with {len(rows)} detections")
+    if solved.parity_flip:
         return failed("mirrored", _MIRRORED)
-    result = _accepted(found, database, rows, v_cam, focal_px, tolerance_px, catalogue)
-    return with_residuals(result, pixel, model, sigma_px, model_error_px)
+    identified = _accepted(solved, database, rows, v_cam, focal_px, tolerance_px, catalogue)
+    return with_residuals(identified, pixel, model, sigma_px, model_error_px)
 
 
 def with_residuals(
-    found: Identification, pixel_px: FloatArray, model: CameraModel, sigma_px: ArrayLike | None, model_error_px: float
+    identified: Identification,
+    pixel_px: FloatArray,
+    model: CameraModel,
+    sigma_px: ArrayLike | None,
+    model_error_px: float,
 ) -> Identification:
     """An identification with its residuals judged; ``pixel_px`` (n, 2) and ``sigma_px`` (n,) are all detections'."""
-    if not found.ok:
-        return found
-    sigma = None if sigma_px is None else np.broadcast_to(np.asarray(sigma_px, float), (len(pixel_px),))[found.detected]
-    judged = star_residuals(
-        pixel_px[found.detected], found.direction, model, sigma_px=sigma, model_error_px=model_error_px
+    if not identified.ok:
+        return identified
+    rows = identified.detected
+    sigma = None if sigma_px is None else np.broadcast_to(np.asarray(sigma_px, float), (len(pixel_px),))[rows]
+    residuals = star_residuals(
+        pixel_px[rows], identified.direction, model, sigma_px=sigma, model_error_px=model_error_px
     )
     return replace(
-        found,
-        message=joined(found.message, judged.note),
-        residual_px=judged.residual_px,
-        beyond=judged.beyond,
-        misfit=judged.misfit,
+        identified,
+        message=joined(identified.message, residuals.note),
+        residual_px=residuals.residual_px,
+        beyond=residuals.beyond,
+        misfit=residuals.misfit,
     )
 
 
@@ -252,7 +258,7 @@ _MIRRORED = (
 
 
 def _accepted(
-    found: Any,
+    solved: Any,
     database: Any,
     rows: NDArray[np.int64],
     v_cam: FloatArray,
@@ -260,11 +266,11 @@ def _accepted(
     tolerance_px: float,
     catalogue: Mapping[int, ArrayLike] | None,
 ) -> Identification:
-    matched = np.asarray(found.matched_centroids, np.int64)
-    identifier = np.asarray(found.matched_catalog_ids, np.int64)
+    matched = np.asarray(solved.matched_centroids, np.int64)
+    identifier = np.asarray(solved.matched_catalog_ids, np.int64)
     if catalogue is not None:
-        known = np.array([int(i) in catalogue for i in identifier], bool)
-        matched, identifier = matched[known], identifier[known]
+        listed = np.array([int(i) in catalogue for i in identifier], bool)
+        matched, identifier = matched[listed], identifier[listed]
         direction = np.reshape([np.asarray(catalogue[int(i)], float) for i in identifier], (-1, 3))
     else:
         stars = [database.get_star_by_id(int(i)) for i in identifier]
@@ -272,21 +278,22 @@ def _accepted(
         direction = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
     if len(matched) < 2:
         return failed(
-            "no_match", f"tetra3rs matched {len(found.matched_centroids)} stars, {len(matched)} of the catalogue"
+            "no_match", f"tetra3rs matched {len(solved.matched_centroids)} stars, {len(matched)} of the catalogue"
         )
-    kept, solution = _trimmed(v_cam[matched], direction)
-    matched, identifier, direction = matched[kept], identifier[kept], direction[kept]
+    inliers, solution = _trimmed(v_cam[matched], direction)
+    matched, identifier, direction = matched[inliers], identifier[inliers], direction[inliers]
     if solution.parity < 0:
         return failed("mirrored", _MIRRORED)
-    residual = np.sqrt(2.0) * solution.sigma_rad * focal_px
+    residual, scale = (
+        np.sqrt(2.0) * solution.sigma_rad * focal_px,
+        float(solved.camera_model.focal_length_px / focal_px),
+    )
     if not solution.ok or residual > tolerance_px:
-        words = (
+        message = (
             f"{len(matched)} stars matched, but they lie {residual:.3g} px from their places; {tolerance_px:g} px is "
             "allowed, a better camera model is needed"
         )
-        return replace(
-            failed("inconsistent", words), scale=float(found.camera_model.focal_length_px / focal_px)
-        )  # by which the search may go on
+        return replace(failed("inconsistent", message), scale=scale)  # by which the search may go on
     return Identification(
         status="identified",
         message=f"{len(matched)} stars identified, {solution.sigma_rad * RAD_ARCSEC:.3g} arcsec per axis",
@@ -294,22 +301,21 @@ def _accepted(
         detected=rows[matched],
         catalogue_id=identifier,
         direction=direction,
-        false_match_probability=float(found.probability),
-        scale=float(found.camera_model.focal_length_px / focal_px),
+        false_match_probability=float(solved.probability),
+        scale=scale,
     )
 
 
 def _trimmed(v_cam: FloatArray, v_ref: FloatArray) -> tuple[NDArray[np.int64], AttitudeSolution]:
     """Rows of the matches without distant ones (a false detection may have a partner, too), and the attitude."""
-    kept = np.arange(len(v_cam))
-    solution = solve_wahba(v_cam, v_ref)
+    inliers, solution = np.arange(len(v_cam)), solve_wahba(v_cam, v_ref)
     for _ in range(TRIM_ROUNDS):
-        miss = np.linalg.norm(v_cam - solution.rotation.apply(v_ref), axis=1)
-        good = np.flatnonzero(miss <= TRIM_SIGMA * np.median(miss[kept]) / 1.1774 + 1e-9)
-        if len(good) < 3 or np.array_equal(good, kept):
+        distance = np.linalg.norm(v_cam - solution.rotation.apply(v_ref), axis=1)
+        near = np.flatnonzero(distance <= TRIM_SIGMA * np.median(distance[inliers]) / MEDIAN_RAYLEIGH + 1e-9)
+        if len(near) < 3 or np.array_equal(near, inliers):
             break
-        kept, solution = good, solve_wahba(v_cam[good], v_ref[good])
-    return kept, solution
+        inliers, solution = near, solve_wahba(v_cam[near], v_ref[near])
+    return inliers, solution
 
 
 def failed(status: str, message: str) -> Identification:
@@ -340,8 +346,8 @@ def _usable(pixel: FloatArray, model: CameraModel, brightness: FloatArray) -> tu
     """Rows of the detections that have a direction, brightest first, and these directions."""
     rows = np.flatnonzero(np.isfinite(pixel).all(axis=1) & np.isfinite(brightness))
     v_cam = model.unproject(pixel[rows]) if len(rows) else np.empty((0, 3))
-    known = np.isfinite(v_cam).all(axis=1)
-    rows, v_cam = rows[known], v_cam[known]
+    finite = np.isfinite(v_cam).all(axis=1)
+    rows, v_cam = rows[finite], v_cam[finite]
     order = np.argsort(-brightness[rows], kind="stable")
     return rows[order], v_cam[order]
 

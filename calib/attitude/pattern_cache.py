@@ -26,9 +26,9 @@ LOOK_S = 0.05
 
 def cache_folder() -> Path:
     """Where patterns are kept: ``STARBENCH_CACHE``, or ``starbench`` in the cache folder of the platform."""
-    told = os.environ.get("STARBENCH_CACHE")
-    if told:
-        return Path(told)
+    chosen = os.environ.get("STARBENCH_CACHE")
+    if chosen:
+        return Path(chosen)
     if sys.platform == "darwin":
         return Path.home() / "Library" / "Caches" / "starbench"
     if os.name == "nt":
@@ -41,13 +41,12 @@ def kept_database(*, min_fov_deg: float, max_fov_deg: float) -> Any:
     separate thread, so that an interrupt need not wait for it.
     """
     folder, key = cache_folder(), _key(min_fov_deg, max_fov_deg)
-    found = _kept(folder, key)
-    if found is not None:
-        return found
-    made = _made(min_fov_deg, max_fov_deg)
-    with contextlib.suppress(OSError, RuntimeError, ValueError):  # a cache that cannot be written stops nothing
-        _keep(made, folder, key)
-    return made
+    database = _kept(folder, key)
+    if database is None:
+        database = _computed(min_fov_deg, max_fov_deg)
+        with contextlib.suppress(OSError, RuntimeError, ValueError):  # a cache that cannot be written stops nothing
+            _keep(database, folder, key)
+    return database
 
 
 def _key(*fields: float) -> str:
@@ -64,31 +63,31 @@ def _kept(folder: Path, key: str) -> Any:
     for file in sorted(folder.glob(f"patterns-{key}-*.bin")):
         with contextlib.suppress(OSError, ConfigError):
             if _digest(file) == file.stem.rpartition("-")[2]:
-                found = load_database(file)
+                database = load_database(file)
                 os.utime(file)
-                return found
+                return database
         with contextlib.suppress(OSError):
             file.unlink()
     return None
 
 
-def _made(min_fov_deg: float, max_fov_deg: float) -> Any:
-    made: list[Any] = []
-    failed: list[Exception] = []
+def _computed(min_fov_deg: float, max_fov_deg: float) -> Any:
+    databases: list[Any] = []
+    errors: list[Exception] = []
 
-    def make() -> None:
+    def compute() -> None:
         try:
-            made.append(build_database(min_fov_deg=min_fov_deg, max_fov_deg=max_fov_deg))
+            databases.append(build_database(min_fov_deg=min_fov_deg, max_fov_deg=max_fov_deg))
         except Exception as error:
-            failed.append(error)
+            errors.append(error)
 
-    thread = threading.Thread(target=make, daemon=True, name="star patterns")
+    thread = threading.Thread(target=compute, daemon=True, name="star patterns")
     thread.start()
     while thread.is_alive():
         thread.join(LOOK_S)  # tetra3rs works without Python's lock: an interrupt is handled here
-    if failed:
-        raise failed[0]
-    return made[0]
+    if errors:
+        raise errors[0]
+    return databases[0]
 
 
 def _keep(database: Any, folder: Path, key: str) -> None:
@@ -96,12 +95,12 @@ def _keep(database: Any, folder: Path, key: str) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(prefix=".patterns-", suffix=".partial", dir=folder)
     os.close(handle)
-    beside = Path(name)
+    partial = Path(name)
     try:
         database.save_to_file(name)
-        os.replace(beside, folder / f"patterns-{key}-{_digest(beside)}.bin")
+        os.replace(partial, folder / f"patterns-{key}-{_digest(partial)}.bin")
     finally:
-        beside.unlink(missing_ok=True)
+        partial.unlink(missing_ok=True)
     kept = sorted(folder.glob("patterns-*.bin"), key=lambda file: file.stat().st_mtime, reverse=True)
     for file in kept[MOST_KEPT:]:
         file.unlink(missing_ok=True)

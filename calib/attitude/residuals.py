@@ -48,28 +48,27 @@ def star_residuals(
     if not (np.isfinite(model_error_px) and model_error_px >= 0):
         raise DomainError(f"model_error_px = {model_error_px}; it must be finite and not negative")
     v_cam, count = model.unproject(pixel_px), len(pixel_px)
+    fewest = max(3, (1.0 - LARGEST_WRONG_PART) * count)
     start = rotations_of_groups(v_cam, v_ref, np.zeros(count, np.int64), 1, robust=True)[0]
-    rotation, kept = Rotation.from_matrix(start), np.ones(count, bool)
+    residual = _residual(pixel_px, v_ref, model, Rotation.from_matrix(start))
     if sigma_px is None:
-        residual = _residual(pixel_px, v_ref, model, rotation)
         return StarResiduals(residual, np.zeros(count, bool), UNTESTED, _size(residual))
     error = np.hypot(np.broadcast_to(np.asarray(sigma_px, float), (count,)), model_error_px)
     if not np.all(error > 0):
         raise DomainError("sigma_px of an identified star is not positive; leave it out, or state a model_error_px")
-    kept = _within(_residual(pixel_px, v_ref, model, rotation), error)
+    inliers = _within(residual, error)
     for _ in range(ROUNDS):
-        if np.count_nonzero(kept) < max(3, (1.0 - LARGEST_WRONG_PART) * count):
-            kept = np.ones(count, bool)  # no minority: it is the model or the noise
-        turn = solve_wahba(v_cam[kept], v_ref[kept], sigma_rad=error[kept] * model.pixel_angle_rad)
-        rotation = turn.rotation
-        before, kept = kept, _within(_residual(pixel_px, v_ref, model, rotation), error)
-        if np.array_equal(before, kept) or np.count_nonzero(kept) < 3:
+        if np.count_nonzero(inliers) < fewest:
+            inliers = np.ones(count, bool)  # no minority: it is the model or the noise
+        solution = solve_wahba(v_cam[inliers], v_ref[inliers], sigma_rad=error[inliers] * model.pixel_angle_rad)
+        residual = _residual(pixel_px, v_ref, model, solution.rotation)
+        previous, inliers = inliers, _within(residual, error)
+        if np.array_equal(previous, inliers) or np.count_nonzero(inliers) < 3:
             break
-    residual = _residual(pixel_px, v_ref, model, rotation)
-    judged = kept if np.count_nonzero(kept) >= max(3, (1.0 - LARGEST_WRONG_PART) * count) else np.ones(count, bool)
-    pull2 = np.sum((residual / error[:, None]) ** 2, axis=1)
-    misfit = ChiSquare(value=float(pull2[judged].sum()), degrees_of_freedom=max(2 * int(judged.sum()) - 3, 0))
-    beyond = ~_within(residual, error)
+    tested = inliers if np.count_nonzero(inliers) >= fewest else np.ones(count, bool)
+    squares = np.sum((residual / error[:, None]) ** 2, axis=1)
+    misfit = ChiSquare(value=float(squares[tested].sum()), degrees_of_freedom=max(2 * int(tested.sum()) - 3, 0))
+    beyond = ~inliers
     text = f"{np.count_nonzero(beyond)} of {count} stars lie beyond {BEYOND_SIGMA:g} sigma of noise and model error"
     return StarResiduals(residual, beyond, misfit, joined(_size(residual), text if beyond.any() else "", misfit.note))
 

@@ -34,7 +34,7 @@ MATCH_PX = 1.0
 LARGEST_COMMON_PX = 0.5
 FEWEST = 3
 CLIP_SIGMA, CLIP_ROUNDS = 3.5, 6
-"""Stars that lie farther off are no longer asked: undetected blends, wrong partners. Of good ones 0.2 % lie there."""
+"""Stars beyond are left out: undetected blends, wrong partners. Of good ones 0.2 % lie there."""
 FIELD_MARGIN = 0.06
 """A database of patterns is made for fields this much narrower and wider than the camera's."""
 BRIGHTEST = 60
@@ -161,16 +161,16 @@ def identify_stars(
     pixel, flux = stars.pixel_px[usable], stars.flux_e[usable]
     if near is not None:
         bright = usable[np.argsort(-flux, kind="stable")[:BRIGHTEST]]
-        found = _near(stars.pixel_px, bright, model, known, near, radius_px=radius_px, tolerance_px=tolerance_px)
+        identified = _near(stars.pixel_px, bright, model, known, near, radius_px=radius_px, tolerance_px=tolerance_px)
     else:
         patterns = star_patterns(model) if database is None else database
-        found = identify(pixel, model, patterns, flux=flux, catalogue=_ById(known))
-        if found.status == "no_match":  # the catalogue may count its stars in another way than the patterns do
-            found = identify(pixel, model, patterns, flux=flux)
-        found = replace(found, detected=usable[found.detected])
+        identified = identify(pixel, model, patterns, flux=flux, catalogue=_ById(known))
+        if identified.status == "no_match":  # the catalogue may count its stars in another way than the patterns do
+            identified = identify(pixel, model, patterns, flux=flux)
+        identified = replace(identified, detected=usable[identified.detected])
     sigma_px = stars.position_sigma_px
-    known_noise = np.isfinite(sigma_px[found.detected]).all()
-    return with_residuals(found, stars.pixel_px, model, sigma_px if known_noise else None, model_error_px)
+    stated = np.isfinite(sigma_px[identified.detected]).all()
+    return with_residuals(identified, stars.pixel_px, model, sigma_px if stated else None, model_error_px)
 
 
 def solve_attitude(
@@ -196,34 +196,31 @@ def solve_attitude(
     StarAttitude
         Not `ok`, and without a star, if none were identified.
     """
-    nothing = np.empty(0, np.int64)
     if not identified.ok or identified.attitude is None:
-        none = solve_wahba(np.empty((0, 3)), np.empty((0, 3)))
-        return StarAttitude(
-            solution=none, detected=nothing, catalogue=nothing, residual_px=np.empty((0, 2)), common_px=float("nan")
-        )
+        return _without_stars(solve_wahba(np.empty((0, 3)), np.empty((0, 3))))
     fit = np.flatnonzero(stars.fit)
     pixel = stars.pixel_px[fit]
     pairs = associate(pixel, known.direction, identified.attitude.rotation, model, radius_px=match_px)
     if len(pairs) < FEWEST:
-        return StarAttitude(
-            solution=identified.attitude,
-            detected=nothing,
-            catalogue=nothing,
-            residual_px=np.empty((0, 2)),
-            common_px=float("nan"),
-        )
+        return _without_stars(identified.attitude)
     covariance = stars.covariance[fit[pairs.detected]]
     variance = (covariance[:, 0, 0] + covariance[:, 1, 1]) / 2.0
     v_cam, v_ref = model.unproject(pixel[pairs.detected]), known.direction[pairs.catalogue]
-    solution, kept, common_px = balanced_attitude(v_cam, v_ref, variance, model.pixel_angle_rad)
-    place = model.project(solution.rotation.apply(v_ref))
+    solution, inliers, common_px = balanced_attitude(v_cam, v_ref, variance, model.pixel_angle_rad)
+    residual_px = pixel[pairs.detected] - model.project(solution.rotation.apply(v_ref))
     return StarAttitude(
         solution=solution,
-        detected=fit[pairs.detected][kept],
-        catalogue=pairs.catalogue[kept],
-        residual_px=(pixel[pairs.detected] - place)[kept],
+        detected=fit[pairs.detected][inliers],
+        catalogue=pairs.catalogue[inliers],
+        residual_px=residual_px[inliers],
         common_px=common_px,
+    )
+
+
+def _without_stars(solution: AttitudeSolution) -> StarAttitude:
+    rows = np.empty(0, np.int64)
+    return StarAttitude(
+        solution=solution, detected=rows, catalogue=rows, residual_px=np.empty((0, 2)), common_px=float("nan")
     )
 
 
@@ -235,15 +232,15 @@ def balanced_attitude(
     Shapes: ``v_cam`` (n, 3), ``v_ref`` (n, 3), ``variance_px2`` (n,).
     """
     v_ref = np.array(v_ref)  # SciPy's rotations refuse write-locked arrays, such as those of records
-    kept = np.ones(len(v_cam), bool)
+    inliers = np.ones(len(v_cam), bool)
     for _ in range(CLIP_ROUNDS):
-        solution, common_px = _balanced(v_cam[kept], v_ref[kept], variance_px2[kept], pixel_rad)
-        miss = np.linalg.norm(v_cam - solution.rotation.apply(v_ref), axis=1) / pixel_rad
-        good = miss < CLIP_SIGMA * np.sqrt(variance_px2 + common_px**2)
-        if np.array_equal(good, kept) or np.count_nonzero(good) < max(FEWEST, len(kept) // 2):
+        solution, common_px = _balanced(v_cam[inliers], v_ref[inliers], variance_px2[inliers], pixel_rad)
+        distance_px = np.linalg.norm(v_cam - solution.rotation.apply(v_ref), axis=1) / pixel_rad
+        near = distance_px < CLIP_SIGMA * np.sqrt(variance_px2 + common_px**2)
+        if np.array_equal(near, inliers) or np.count_nonzero(near) < max(FEWEST, len(inliers) // 2):
             break
-        kept = good
-    return solution, kept, common_px
+        inliers = near
+    return solution, inliers, common_px
 
 
 def _balanced(
@@ -253,9 +250,9 @@ def _balanced(
         return solve_wahba(v_cam, v_ref, sigma_rad=pixel_rad * np.sqrt(variance_px2 + common_px**2))
 
     def excess(common_px: float) -> float:
-        miss = np.linalg.norm(v_cam - solved(common_px).rotation.apply(v_ref), axis=1) / pixel_rad
-        typical = float(np.median(miss**2 / (variance_px2 + common_px**2))) / (2.0 * np.log(2.0))
-        return typical - (2 * len(miss) - 3) / (2 * len(miss))
+        distance_px = np.linalg.norm(v_cam - solved(common_px).rotation.apply(v_ref), axis=1) / pixel_rad
+        typical = float(np.median(distance_px**2 / (variance_px2 + common_px**2))) / (2.0 * np.log(2.0))
+        return typical - (2 * len(v_cam) - 3) / (2 * len(v_cam))
 
     if excess(0.0) <= 0.0:
         return solved(0.0), 0.0
@@ -275,18 +272,17 @@ def _near(
     radius_px: float,
     tolerance_px: float,
 ) -> Identification:
-    found = match_stars(
+    match = match_stars(
         pixel[rows], known.direction, near, model, radius_px=radius_px, tolerance_px=min(tolerance_px, radius_px)
     )
-    status = {"matched": "identified"}.get(found.status, found.status)
     return Identification(
-        status=status,
-        message=found.message,
-        attitude=found.attitude,
-        detected=rows[found.association.detected],
-        catalogue_id=np.asarray(known.id)[found.association.catalogue],
-        direction=known.direction[found.association.catalogue],
-        false_match_probability=found.false_match_probability,
+        status="identified" if match.ok else match.status,
+        message=match.message,
+        attitude=match.attitude,
+        detected=rows[match.association.detected],
+        catalogue_id=np.asarray(known.id)[match.association.catalogue],
+        direction=known.direction[match.association.catalogue],
+        false_match_probability=match.false_match_probability,
     )
 
 
@@ -315,10 +311,10 @@ class _ById(Mapping[int, FloatArray]):
         self._known, self._order = known, np.argsort(known.id, kind="stable")
 
     def __getitem__(self, identifier: int) -> FloatArray:
-        place = int(np.searchsorted(self._known.id, identifier, sorter=self._order))
-        if place == len(self._order) or self._known.id[self._order[place]] != identifier:
+        rank = int(np.searchsorted(self._known.id, identifier, sorter=self._order))
+        if rank == len(self._order) or self._known.id[self._order[rank]] != identifier:
             raise KeyError(identifier)
-        return np.asarray(self._known.direction[self._order[place]])
+        return np.asarray(self._known.direction[self._order[rank]])
 
     def __len__(self) -> int:
         return len(self._order)

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -45,7 +46,7 @@ ROUGH_PX = 1.0
 """A rough attitude that moves all windows by more has them cut anew, where the stars are."""
 SNR = 5.0
 """Signal-to-noise ratio of the flux below which a window holds no star."""
-SEEN_SHARE = 0.5
+CONFIRMED_FRACTION = 0.5
 """Smallest fraction of the predicted stars to be found after an acquisition; below, it was a chance match."""
 BRIGHTEST = (20, 12)
 """Number of brightest detections to identify if all of them form no pattern."""
@@ -100,11 +101,11 @@ def guide_catalogue(
         raise DomainError(f"apart_rad = {apart_rad:g} rad; it must be positive")
     near = np.flatnonzero(magnitude <= faintest_mag + fainter_mag)
     pairs = cKDTree(direction[near]).query_pairs(2.0 * np.sin(0.5 * min(apart_rad, np.pi)), output_type="ndarray")
-    alone = np.ones(len(magnitude), bool)
-    for one, other in (pairs.T, pairs.T[::-1]):
-        disturbed = magnitude[near[other]] < magnitude[near[one]] + fainter_mag
-        alone[near[one[disturbed]]] = False
-    row = np.flatnonzero(alone & (magnitude >= brightest_mag) & (magnitude <= faintest_mag))
+    isolated = np.ones(len(magnitude), bool)
+    for star, neighbour in (pairs.T, pairs.T[::-1]):
+        disturbed = magnitude[near[neighbour]] < magnitude[near[star]] + fainter_mag
+        isolated[near[star[disturbed]]] = False
+    row = np.flatnonzero(isolated & (magnitude >= brightest_mag) & (magnitude <= faintest_mag))
     if not len(row):
         raise DomainError(
             f"no guide star from {brightest_mag:g} to {faintest_mag:g} mag is isolated by apart_rad in the catalogue"
@@ -121,20 +122,20 @@ def sky_coverage(guides: GuideCatalogue, model: CameraModel, *, attitudes: int =
     z = 1.0 - (2.0 * k + 1.0) / attitudes
     golden = np.pi * (3.0 - np.sqrt(5.0))
     turned = Rotation.from_euler("ZYZ", np.column_stack([golden * k, np.arccos(z), k * np.sqrt(2.0) * np.pi])).inv()
-    size = np.array([model.geometry.width_px, model.geometry.height_px])
-    corner = model.unproject(np.array([[-0.5, -0.5], size - 0.5]))
-    reach = float(np.max(2.0 * np.sin(0.5 * np.arccos(np.clip(corner[:, 2], -1.0, 1.0)))))
+    reach = 2.0 * np.sin(0.5 * _half_field_rad(model))
     tree, counts = cKDTree(guides.direction), np.zeros(attitudes, np.int64)
     for n, matrix in enumerate(turned.as_matrix()):
         near = tree.query_ball_point(matrix[2], 1.02 * reach)
         if near:
-            counts[n] = np.count_nonzero(_inside(model.project(guides.direction[near] @ matrix.T), size, margin_px))
+            star_px = model.project(guides.direction[near] @ matrix.T)
+            counts[n] = np.count_nonzero(model.geometry.contains(star_px, margin_px=-margin_px))
     return counts
 
 
-def _inside(place: FloatArray, size: NDArray[Any], margin_px: float) -> NDArray[np.bool_]:
-    with np.errstate(invalid="ignore"):
-        return np.asarray(((place >= margin_px - 0.5) & (place <= size - 0.5 - margin_px)).all(axis=1))
+def _half_field_rad(model: CameraModel) -> float:
+    """Angle of the farther of two opposite corners of the detector from the boresight."""
+    corner = model.unproject(model.geometry.corners_px[[0, 2]])
+    return float(np.arccos(np.clip(corner[:, 2].min(), -1.0, 1.0)))
 
 
 def expected_guides(
@@ -151,16 +152,13 @@ def expected_guides(
     Returns rows of the catalogue (k,), brightest first; directions (k, 3) along icrs with aberration; places (k, 2) on
     the detector, at least ``margin_px`` inside its edge.
     """
-    size = np.array([model.geometry.width_px, model.geometry.height_px])
-    corner = model.unproject(np.array([[-0.5, -0.5], size - 0.5]))
-    reach = np.cos(1.05 * np.arccos(np.clip(corner[:, 2].min(), -1.0, 1.0)))
-    near = np.flatnonzero(guides.direction @ attitude.as_matrix()[2] > reach)
+    near = np.flatnonzero(guides.direction @ attitude.as_matrix()[2] > np.cos(1.05 * _half_field_rad(model)))
     if not len(near):
         return near, np.empty((0, 3)), np.empty((0, 2))
-    seen = _apparent(guides.direction[near], velocity_km_per_s)
-    place = model.project(attitude.apply(seen))
-    chosen = np.flatnonzero(_inside(place, size, margin_px))[:most]
-    return near[chosen], seen[chosen], place[chosen]
+    apparent = _apparent(guides.direction[near], velocity_km_per_s)
+    star_px = model.project(attitude.apply(apparent))
+    rows = np.flatnonzero(model.geometry.contains(star_px, margin_px=-margin_px))[:most]
+    return near[rows], apparent[rows], star_px[rows]
 
 
 def _apparent(direction: FloatArray, velocity: ArrayLike | None) -> FloatArray:
@@ -332,15 +330,15 @@ class StarTracker:
         """
         if near is None and self._last and not time_s > self._last[-1][0]:
             raise DomainError(f"time_s = {time_s:g} s, after {self._last[-1][0]:g} s; frames must be in order of time")
-        moved = None if velocity_km_per_s is None else np.asarray(velocity_km_per_s, float)
+        velocity = None if velocity_km_per_s is None else np.asarray(velocity_km_per_s, float)
         rough = near if near is not None else self._predicted(time_s, rate_rad_per_s)
-        found = None if rough is None else self._track(frame, time_s, rough, moved, "tracking")
-        if near is None and (found is None or not found.ok):
-            found = self._acquire(frame, time_s, moved)
-        assert found is not None
+        tracked = None if rough is None else self._track(frame, time_s, rough, velocity, "tracking")
+        if near is None and (tracked is None or not tracked.ok):
+            tracked = self._acquire(frame, time_s, velocity)
+        assert tracked is not None
         if near is None:
-            self._last = [*self._last[-1:], (time_s, found.attitude)] if found.attitude is not None else []
-        return found
+            self._last = [*self._last[-1:], (time_s, tracked.attitude)] if tracked.attitude is not None else []
+        return tracked
 
     def _predicted(self, time_s: float, rate: ArrayLike | None) -> Rotation | None:
         if not self._last or time_s - self._last[-1][0] > LONGEST_GAP_S:
@@ -357,63 +355,57 @@ class StarTracker:
     def _track(
         self, frame: Frame, time_s: float, rough: Rotation, velocity: FloatArray | None, mode: str
     ) -> TrackedAttitude:
-        row, seen, place = expected_guides(
+        row, apparent, expected_px = expected_guides(
             self.guides, self.model, rough, velocity_km_per_s=velocity, margin_px=self._margin, most=self._most
         )
-        shift = self._common_shift(frame, place) if len(row) else np.zeros(2)
+        shift = self._common_shift(frame, expected_px) if len(row) else np.zeros(2)
         if np.hypot(*shift) > ROUGH_PX:
-            size = np.array([self.model.geometry.width_px, self.model.geometry.height_px])
-            inside = _inside(place + shift, size, self._margin)
-            row, seen, place = row[inside], seen[inside], place[inside] + shift
+            inside = self.model.geometry.contains(expected_px + shift, margin_px=-self._margin)
+            row, apparent, expected_px = row[inside], apparent[inside], expected_px[inside] + shift
+        result = partial(TrackedAttitude, time_s=time_s, mode=mode, expected=len(row))
         if len(row) < self._fewest:
-            return TrackedAttitude(time_s=time_s, mode=mode, status="few_stars", expected=len(row))
-        stars = self._measured(frame, place)
+            return result(status="few_stars")
+        stars = self._measured(frame, expected_px)
         light = stars.fit & (stars.flux_e > SNR * np.sqrt(np.maximum(stars.covariance[:, 2, 2], 0.0)))
-        miss = stars.pixel_px - place
+        shift_px = stars.pixel_px - expected_px
         good = light.copy()
         if light.any():  # a rough attitude shifts all stars alike; what is off by more is something else
-            apart = np.hypot(*(miss - np.median(miss[light], axis=0)).T)
-            good &= np.nan_to_num(apart, nan=np.inf) <= self._gate
+            distance_px = np.hypot(*(shift_px - np.median(shift_px[light], axis=0)).T)
+            good &= np.nan_to_num(distance_px, nan=np.inf) <= self._gate
         used = np.flatnonzero(good)
         if len(used) < self._fewest:
-            return TrackedAttitude(
-                time_s=time_s, mode=mode, status="few_stars", rejected=int(light.sum()) - len(used), expected=len(row)
-            )
-        solution, kept = self._solved(stars, used, seen, self._star_error[row])
-        used = used[kept]
+            return result(status="few_stars", rejected=int(light.sum()) - len(used))
+        solution, inliers = self._solved(stars, used, apparent, self._star_error[row])
+        used = used[inliers]
+        rejected = int(light.sum()) - len(used)
         if not solution.ok or len(used) < self._fewest:
-            return TrackedAttitude(
-                time_s=time_s, mode=mode, status="few_stars", rejected=int(light.sum()) - len(used), expected=len(row)
-            )
-        return TrackedAttitude(
-            time_s=time_s,
-            mode=mode,
+            return result(status="few_stars", rejected=rejected)
+        return result(
             status="ok",
             attitude=solution.rotation,
             covariance_rad2=solution.covariance_rad2,
             star_id=self.guides.id[row[used]],
             pixel_px=stars.pixel_px[used],
-            rejected=int(light.sum()) - len(used),
-            expected=len(row),
+            rejected=rejected,
         )
 
-    def _pixels(self, place: FloatArray) -> tuple[NDArray[np.int64], tuple[NDArray[np.int64], NDArray[np.int64]]]:
-        """First pixels (n, 2) of windows around places, and index of all their pixels (n, window, window)."""
-        corner = np.rint(place).astype(np.int64) - self._window // 2
+    def _pixels(self, centre_px: FloatArray) -> tuple[NDArray[np.int64], tuple[NDArray[np.int64], NDArray[np.int64]]]:
+        """First pixels (n, 2) of windows around positions, and index of all their pixels (n, window, window)."""
+        corner = np.rint(centre_px).astype(np.int64) - self._window // 2
         step = np.arange(self._window)
         return corner, (corner[:, 1, None, None] + step[:, None], corner[:, 0, None, None] + step)
 
-    def _common_shift(self, frame: Frame, place: FloatArray) -> FloatArray:
-        """Where the brightest pixels of the windows lie from their places: median (2,) of the brighter half [px]."""
-        corner, at = self._pixels(place[: max(len(place) // 2, self._fewest)])
+    def _common_shift(self, frame: Frame, expected_px: FloatArray) -> FloatArray:
+        """Shift of the brightest pixels of the windows from the stars: median (2,) of the brighter half [px]."""
+        corner, at = self._pixels(expected_px[: max(len(expected_px) // 2, self._fewest)])
         light = frame.dn[at] - (0.0 if self._dark is None else self._dark[at])
         peak = np.where(frame.defect[at], -np.inf, light).reshape(len(corner), -1).argmax(axis=1)
-        found = corner + np.stack([peak % self._window, peak // self._window], axis=-1)
-        return np.asarray(np.median(found - place[: len(corner)], axis=0))
+        peak_px = corner + np.stack([peak % self._window, peak // self._window], axis=-1)
+        return np.asarray(np.median(peak_px - expected_px[: len(corner)], axis=0))
 
-    def _measured(self, frame: Frame, place: FloatArray) -> StarTable:
-        """Centroids in windows around places (n, 2), all of them inside the frame."""
-        corner, at = self._pixels(place)
+    def _measured(self, frame: Frame, expected_px: FloatArray) -> StarTable:
+        """Centroids in windows around positions (n, 2), all of them inside the frame."""
+        corner, at = self._pixels(expected_px)
         stack = WindowStack(
             dn=frame.dn[at][None],
             saturated=frame.saturated[at][None],
@@ -426,9 +418,11 @@ class StarTracker:
             band=frame.band,
             first_index=frame.index,
         )
-        nothing = np.zeros(len(place))
         stamps, noise = stamps_from_windows(
-            stack, background_e=nothing, start_px=place, psf_index=self._nearest_psf(place)
+            stack,
+            background_e=np.zeros(len(expected_px)),
+            start_px=expected_px,
+            psf_index=self._nearest_psf(expected_px),
         )
         electrons = stamps.electrons
         if self._dark is not None:
@@ -439,9 +433,9 @@ class StarTracker:
         return self._fitted(stamps, noise if self._noise is None else self._noise)
 
     def _centroider(self, rows: Any) -> Centroider:
-        """The centroider, told some of the PSFs."""
-        some = tuple(self._psfs[row] for row in rows) or self._psfs[:1]
-        return get_centroider(self._centroid, **({"epsf": some} if some else {}))
+        """The centroider with some of the PSFs."""
+        psfs = tuple(self._psfs[row] for row in rows) or self._psfs[:1]
+        return get_centroider(self._centroid, **({"epsf": psfs} if psfs else {}))
 
     def _fitted(self, stamps: Stamps, noise: NoiseModel) -> StarTable:
         """Centroids; each PSF that is near a star is prepared, no other."""
@@ -450,68 +444,62 @@ class StarTracker:
         rows, index = np.unique(stamps.psf_index, return_inverse=True)
         return self._centroider(rows).measure(replace(stamps, psf_index=index), noise)
 
-    def _nearest_psf(self, place: FloatArray) -> NDArray[np.int64]:
-        return np.asarray(((place[:, None] - self._psf_place) ** 2).sum(-1).argmin(1))
+    def _nearest_psf(self, position_px: FloatArray) -> NDArray[np.int64]:
+        return np.asarray(((position_px[:, None] - self._psf_place) ** 2).sum(-1).argmin(1))
 
     def _solved(
-        self, stars: StarTable, used: NDArray[np.int64], seen: FloatArray, star_error_px: FloatArray
+        self, stars: StarTable, used: NDArray[np.int64], apparent: FloatArray, star_error_px: FloatArray
     ) -> tuple[AttitudeSolution, NDArray[np.bool_]]:
-        v_cam, v_ref = self.model.unproject(stars.pixel_px[used]), seen[used]
-        away = stars.pixel_px[used] - self.model.geometry.centre_px
-        known = star_error_px[used] ** 2 + 0.5 * self._scale_error**2 * (away**2).sum(1)
-        sigma = self._pixel_rad * np.sqrt(stars.position_sigma_px[used] ** 2 + known)
-        kept = np.asarray(np.isfinite(v_cam).all(axis=1))
+        v_cam, v_ref = self.model.unproject(stars.pixel_px[used]), apparent[used]
+        from_centre_px = stars.pixel_px[used] - self.model.geometry.centre_px
+        systematic_px2 = star_error_px[used] ** 2 + 0.5 * self._scale_error**2 * (from_centre_px**2).sum(1)
+        sigma = self._pixel_rad * np.sqrt(stars.position_sigma_px[used] ** 2 + systematic_px2)
+        inliers = np.asarray(np.isfinite(v_cam).all(axis=1))
         for _ in range(CLIP_ROUNDS):
-            solution = solve_wahba(v_cam[kept], v_ref[kept], sigma_rad=sigma[kept])
-            miss = np.linalg.norm(v_cam - solution.rotation.apply(v_ref), axis=1)
-            # the worst are left out first: a far one pulls the attitude, and with it all others, off their places
-            allowed = np.maximum(CLIP_SIGMA * sigma, 0.5 * np.nanmax(miss[kept], initial=0.0))
-            if (miss[kept] <= CLIP_SIGMA * sigma[kept]).all():
+            solution = solve_wahba(v_cam[inliers], v_ref[inliers], sigma_rad=sigma[inliers])
+            distance = np.linalg.norm(v_cam - solution.rotation.apply(v_ref), axis=1)
+            # the worst are left out first: a far star pulls the attitude, and all others beyond their limits
+            limit = np.maximum(CLIP_SIGMA * sigma, 0.5 * np.nanmax(distance[inliers], initial=0.0))
+            if (distance[inliers] <= CLIP_SIGMA * sigma[inliers]).all():
                 break
-            good = np.asarray(kept & (miss <= allowed))
-            if np.count_nonzero(good) < self._fewest or np.array_equal(good, kept):
+            near = np.asarray(inliers & (distance <= limit))
+            if np.count_nonzero(near) < self._fewest or np.array_equal(near, inliers):
                 break
-            kept = good
+            inliers = near
         if solution.status == "inconsistent":  # stars beyond the stated errors: an attitude all the same
             solution = replace(solution, status="ok")
-        return solution, kept
+        return solution, inliers
 
     def _acquire(self, frame: Frame, time_s: float, velocity: FloatArray | None) -> TrackedAttitude:
+        result = partial(TrackedAttitude, time_s=time_s, mode="acquisition")
         image = image_from_frame(frame) if self._dark is None else subtract_dark(frame, self._dark)
         if self._noise is not None:
             image = replace(image, noise=self._noise)
         try:
             background = estimate_background(image, step_px=2)
         except DomainError:  # saturated all over
-            return TrackedAttitude(time_s=time_s, mode="acquisition", status="few_stars")
+            return result(status="few_stars")
         stamps = find_stamps(
             image, background=background, threshold_sigma=self._threshold, fwhm_px=self._fwhm, size_px=self._window
         )
         if not len(stamps):
-            return TrackedAttitude(time_s=time_s, mode="acquisition", status="few_stars")
+            return result(status="few_stars")
         stamps = replace(stamps, psf_index=self._nearest_psf(stamps.start_px))
         stars = self._fitted(stamps, image.noise)
         flags = stars.flags | np.uint32(StarFlag.SPIKE) * unlike_stars(stars)
         stars = replace(stars, flags=flags.astype(np.uint32))
         known = replace(self.guides, direction=_apparent(self.guides.direction, velocity))
-        found = identify_stars(stars, self.model, known, database=self._database)
-        # bright stars in sharp focus look like hot pixels; then all that shines is asked, at last the brightest alone
+        identified = identify_stars(stars, self.model, known, database=self._database)
+        # bright stars in sharp focus look like hot pixels; then all that shines is tried, at last the brightest alone
         shining = replace(stars, flags=stars.flags & ~np.uint32(DOUBTFUL))
         rank = np.argsort(np.argsort(-np.nan_to_num(stars.flux_e, nan=-np.inf)))
         for most in (len(stars), *BRIGHTEST):
-            if not found.ok:
-                some = replace(shining, flux_e=np.where(rank < most, stars.flux_e, np.nan))
-                found = identify_stars(some, self.model, known, database=self._database)
-        if not found.ok or found.attitude is None:
-            status = "few_stars" if found.status == "too_few" else "not_identified"
-            return TrackedAttitude(time_s=time_s, mode="acquisition", status=status)
-        tracked = self._track(frame, time_s, found.attitude.rotation, velocity, "acquisition")
-        if tracked.ok and len(tracked.star_id) < SEEN_SHARE * tracked.expected:
-            return TrackedAttitude(
-                time_s=time_s,
-                mode="acquisition",
-                status="not_confirmed",
-                rejected=tracked.rejected,
-                expected=tracked.expected,
-            )
+            if not identified.ok:
+                brightest = replace(shining, flux_e=np.where(rank < most, stars.flux_e, np.nan))
+                identified = identify_stars(brightest, self.model, known, database=self._database)
+        if not identified.ok or identified.attitude is None:
+            return result(status="few_stars" if identified.status == "too_few" else "not_identified")
+        tracked = self._track(frame, time_s, identified.attitude.rotation, velocity, "acquisition")
+        if tracked.ok and len(tracked.star_id) < CONFIRMED_FRACTION * tracked.expected:
+            return result(status="not_confirmed", rejected=tracked.rejected, expected=tracked.expected)
         return tracked

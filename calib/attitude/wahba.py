@@ -28,7 +28,7 @@ from optics.arrays import FloatArray, IntArray
 
 NEWTON_STEPS = 60
 ROBUST_STEPS = 20
-LEAST_MISS = 1e-5
+LEAST_DISTANCE_RAD = 1e-5
 """Reweighting of `rotations_of_groups`: steps, and the distance [rad] below which a star counts no more."""
 
 
@@ -42,16 +42,16 @@ def rotation_svd(profile: FloatArray) -> FloatArray:
 
 
 def rotations_of_groups(
-    seen: FloatArray, reference: FloatArray, group: IntArray, groups: int, *, robust: bool
+    measured: FloatArray, reference: FloatArray, group: IntArray, groups: int, *, robust: bool
 ) -> FloatArray:
-    """Rotations R with ``seen = R reference`` of groups of directions, all groups at once.
+    """Rotations R with ``measured = R reference`` of groups of directions, all groups at once.
 
-    Shapes: ``seen`` (n, 3), ``reference`` (n, 3), ``group`` (n,).
+    Shapes: ``measured`` (n, 3), ``reference`` (n, 3), ``group`` (n,).
     """
-    good = np.all(np.isfinite(seen), axis=1)
-    seen = np.where(good[:, None], seen, 0.0)
-    products = (seen[:, :, None] * reference[:, None, :]).reshape(-1, 9)
-    weight = good.astype(np.float64)
+    finite = np.all(np.isfinite(measured), axis=1)
+    measured = np.where(finite[:, None], measured, 0.0)
+    products = (measured[:, :, None] * reference[:, None, :]).reshape(-1, 9)
+    weight = finite.astype(np.float64)
     rotation = np.broadcast_to(np.eye(3), (groups, 3, 3))
     for _ in range(ROBUST_STEPS if robust else 1):
         columns = [np.bincount(group, weight * products[:, i], minlength=groups) for i in range(9)]
@@ -59,24 +59,24 @@ def rotations_of_groups(
         empty = ~np.any(profile, axis=(1, 2))
         profile[empty] = np.eye(3)
         rotation = rotation_svd(profile)
-        miss = np.linalg.norm(seen - np.einsum("nij,nj->ni", rotation[group], reference), axis=1)
-        weight = good / np.maximum(miss, LEAST_MISS)
+        distance = np.linalg.norm(measured - np.einsum("nij,nj->ni", rotation[group], reference), axis=1)
+        weight = finite / np.maximum(distance, LEAST_DISTANCE_RAD)
     return rotation
 
 
-def adjugate3(m: FloatArray) -> FloatArray:
-    """Adjugates (f, 3, 3) of matrices (f, 3, 3): ``m @ adjugate3(m) = det(m) I``."""
+def adjugate3(m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Adjugates (f, 3, 3) and determinants (f,) of matrices (f, 3, 3): ``m @ adjugate = determinant I``."""
     a, b = m[:, [1, 2, 0]], m[:, [2, 0, 1]]
     cofactors = a[:, :, [1, 2, 0]] * b[:, :, [2, 0, 1]] - a[:, :, [2, 0, 1]] * b[:, :, [1, 2, 0]]
-    return np.asarray(cofactors.swapaxes(1, 2))
+    return np.asarray(cofactors.swapaxes(1, 2)), np.einsum("fi,fi->f", m[:, 0], cofactors[:, 0])
 
 
 def rotation_quest(profile: FloatArray) -> FloatArray:
     """Rotation matrices (f, 3, 3) that maximise ``tr(R B^T)``; profiles (f, 3, 3) of weights that add up to 1."""
     davenport = _davenport(profile)
-    root, found = _largest_root(profile)
+    root, converged = _largest_root(profile)
     quat, large = _adjugate_column(davenport - root[:, None, None] * np.eye(4))
-    trusted = found & large
+    trusted = converged & large
     if not trusted.all():
         quat[~trusted] = np.linalg.eigh(davenport[~trusted])[1][:, :, 3]
     return _polished(_matrix(quat), profile)
@@ -96,22 +96,21 @@ def _davenport(profile: FloatArray) -> FloatArray:
 def _largest_root(profile: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Largest root (f,) of the characteristic equation, and whether Newton's method converged."""
     square = np.einsum("fij,fij->f", profile, profile)
-    determinant = np.linalg.det(profile)
-    adjugate = adjugate3(profile)
+    adjugate, determinant = adjugate3(profile)
     constant = 4.0 * np.einsum("fij,fij->f", adjugate, adjugate)
     x = np.ones(len(profile))
-    found = np.zeros(len(profile), bool)
+    converged = np.zeros(len(profile), bool)
     for _ in range(NEWTON_STEPS):
         value = (x * x - square) ** 2 - 8.0 * x * determinant - constant
         slope = 4.0 * x * (x * x - square) - 8.0 * determinant
         with np.errstate(divide="ignore", invalid="ignore"):
-            step = np.where(found, 0.0, value / slope)
+            step = np.where(converged, 0.0, value / slope)
         # Above the largest root value and slope are positive; where rounding turns a sign, the root is reached.
-        found |= ~(step > 4e-16)
-        if found.all():
+        converged |= ~(step > 4e-16)
+        if converged.all():
             break
-        x = np.where(found, x, x - step)
-    return x, found & (x > 0)
+        x = np.where(converged, x, x - step)
+    return x, converged & (x > 0)
 
 
 def _adjugate_column(m: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
@@ -161,8 +160,7 @@ def _polished(rotation: FloatArray, profile: FloatArray) -> FloatArray:
     s = profile @ rotation.swapaxes(1, 2)
     torque = np.stack([s[:, 2, 1] - s[:, 1, 2], s[:, 0, 2] - s[:, 2, 0], s[:, 1, 0] - s[:, 0, 1]], axis=1)
     hessian = np.trace(s, axis1=1, axis2=2)[:, None, None] * np.eye(3) - 0.5 * (s + s.swapaxes(1, 2))
-    adjugate = adjugate3(hessian)
-    determinant = np.einsum("fi,fi->f", hessian[:, 0, :], adjugate[:, :, 0])
+    adjugate, determinant = adjugate3(hessian)
     regular = determinant > 1e-14 * np.abs(np.trace(adjugate, axis1=1, axis2=2))
     inverse = adjugate / np.where(regular, determinant, 1.0)[:, None, None]
     step = np.einsum("fij,fj->fi", inverse, torque)

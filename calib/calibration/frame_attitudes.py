@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.attitude_solution import solve_wahba
+from calib.attitude.identify import MEDIAN_RAYLEIGH
 from calib.calibration.observations import Observations
 from calib.cameras.base import CameraModel
 from optics.arrays import BoolArray, FloatArray
@@ -15,8 +16,6 @@ from optics.attitude import attitude_error_arcsec
 from optics.errors import DomainError
 
 CLIP_SIGMA, ROUNDS, FEWEST = 4.5, 6, 4
-MEDIAN_RAYLEIGH = 1.1774
-"""Median length of a residual of two axes over its standard deviation per axis."""
 FEWEST_FOR_HALVES = 12
 
 
@@ -30,11 +29,11 @@ def predicted_residuals(stars: Observations, camera: CameraModel) -> tuple[Float
     for _ in range(ROUNDS):
         attitude = solve_wahba(v_cam[used], direction[used], sigma_rad=sigma[used] * 1e-4).rotation
         residual = stars.pixel_px - camera.project(attitude.apply(direction))
-        pull = np.linalg.norm(residual, axis=1) / sigma
-        good = pull < CLIP_SIGMA * max(1.0, float(np.median(pull[used])) / MEDIAN_RAYLEIGH)
-        if np.array_equal(good, used) or good.sum() < FEWEST:
+        normalised = np.linalg.norm(residual, axis=1) / sigma
+        inliers = normalised < CLIP_SIGMA * max(1.0, float(np.median(normalised[used])) / MEDIAN_RAYLEIGH)
+        if np.array_equal(inliers, used) or inliers.sum() < FEWEST:
             break
-        used = good
+        used = inliers
     return residual, used
 
 
