@@ -280,9 +280,9 @@ def map_change_px(position: FloatArray, change_px: FloatArray, *, scaled: bool) 
     return _residual_rms(terms.reshape(2 * len(position), -1), change_px.reshape(-1))
 
 
-def polynomial_rms_px(position: FloatArray, offset_px: FloatArray, order: int = 3) -> float:
-    """RMS per axis of offsets (n, 2) that a polynomial of each axis leaves."""
-    terms = polynomial_terms(position, order)
+def polynomial_rms_px(position: FloatArray, offset_px: FloatArray) -> float:
+    """RMS per axis of offsets (n, 2) about a cubic polynomial of each axis."""
+    terms = polynomial_terms(position, 3)
     return float(np.sqrt(np.mean([_residual_rms(terms, axis) ** 2 for axis in offset_px.T])))
 
 

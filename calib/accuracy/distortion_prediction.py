@@ -29,6 +29,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from calib.accuracy.distortion import Reference
 from optics.arrays import FloatArray
@@ -77,19 +78,11 @@ def camera_projector(position: FloatArray, reference: Reference) -> FloatArray:
     return np.asarray(basis @ basis.T)
 
 
-def _blocks(covariance: FloatArray) -> FloatArray:
-    """Block-diagonal (2 n, 2 n) of (n, 2, 2)."""
-    n = len(covariance)
-    out = np.zeros((n, 2, n, 2))
-    out[np.arange(n), :, np.arange(n), :] = covariance
-    return out.reshape(2 * n, 2 * n)
-
-
 def expected_numbers(errors: GridErrors, order: int, reference: Reference) -> ExpectedNumbers:
     """Numbers of `calib.accuracy.distortion.distortion_statistics` expected from the errors in the residuals."""
     points, identity = len(errors.position), np.eye(2 * len(errors.position))
     camera = identity - camera_projector(errors.position, reference)
-    chip, session, known = (_blocks(v) for v in (errors.chip_px2, errors.session_px2, errors.mean_px2))
+    chip, session, uncertain_mean = (block_diag(*v) for v in (errors.chip_px2, errors.session_px2, errors.mean_px2))
     if reference == "calibrated":
         frames = camera @ chip @ camera + session + (identity - camera) @ session @ (identity - camera)
     else:
@@ -100,7 +93,7 @@ def expected_numbers(errors: GridErrors, order: int, reference: Reference) -> Ex
     hat, constant = basis @ basis.T, np.full((points, points), 1.0 / points)
     out = np.empty((3, 3, 2))
     for axis in range(2):
-        u, frozen, survey, uncertain = (v[axis::2] for v in (mean, frames, marked, camera @ known @ camera))
+        u, frozen, survey, uncertain = (v[axis::2] for v in (mean, frames, marked, camera @ uncertain_mean @ camera))
         frozen, survey, uncertain = (v[:, axis::2] for v in (frozen, survey, uncertain))
         for row, q in enumerate((np.eye(points) - constant, np.eye(points) - hat, hat - constant)):
             square = u @ q @ u + np.trace(q @ (frozen + survey - uncertain))  # u'Qu contains the noise of the mean

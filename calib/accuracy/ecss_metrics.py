@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.optimize import brentq
 from scipy.special import bdtr, betaincinv, erf, ndtri
 
 from optics.arrays import FloatArray
@@ -74,8 +75,8 @@ def bound_at_level(error: ArrayLike, level: float, interpretation: Interpretatio
         raise DomainError("there is no finite error in the series; at least one is needed")
     if interpretation == "mixed":
         return float(np.quantile(size[measured], level))
-    rows, known = (size, measured) if interpretation == "temporal" else (size.T, measured.T)
-    return max(float(np.quantile(row[finite], level)) for row, finite in zip(rows, known, strict=True) if finite.any())
+    rows, finite = (size, measured) if interpretation == "temporal" else (size.T, measured.T)
+    return max(float(np.quantile(row[at], level)) for row, at in zip(rows, finite, strict=True) if at.any())
 
 
 def normal_factor(level: float) -> float:
@@ -90,15 +91,13 @@ def mixture_bound(sigma: FloatArray, level: float) -> float:
     An infinite standard deviation is a realisation without a solution.
     """
     _check_level(level)
-    known = sigma[np.isfinite(sigma)]
-    if not len(known) or len(known) < level * len(sigma):
-        return np.inf
-    low, high = 0.0, 10.0 * float(known.max())
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        inside = float(erf(middle / (np.sqrt(2.0) * known)).sum()) / len(sigma)
-        low, high = (middle, high) if inside < level else (low, middle)
-    return high
+    finite = sigma[np.isfinite(sigma)]
+    largest = 10.0 * float(finite.max(initial=0.0))
+
+    def excess(bound: float) -> float:
+        return float(erf(bound / (np.sqrt(2.0) * finite)).sum()) / len(sigma) - level
+
+    return float(brentq(excess, 0.0, largest, xtol=1e-15 * largest)) if largest and excess(largest) >= 0.0 else np.inf
 
 
 def quantile_limit(values: FloatArray, fraction: float, confidence: float) -> float:

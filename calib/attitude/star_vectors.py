@@ -8,7 +8,7 @@ attitude. All vectors should be equal; their scatter is the accuracy of the star
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from calib.cameras.base import CameraModel
@@ -26,7 +26,6 @@ def initial_frame_vectors(
     *,
     installation: Rotation,
     table_rotation: Rotation,
-    band: NDArray[np.int64] | None = None,
 ) -> FloatArray:
     """Star vectors of all images in the frame of the table at zero angles.
 
@@ -46,7 +45,7 @@ def initial_frame_vectors(
     array([[0., 0., 1.],
            [0., 0., 1.]])
 
-    Shapes: ``pixel_px`` (n, 2), ``band`` (n,).
+    Shapes: ``pixel_px`` (n, 2).
     """
     pixel = np.asarray(pixel_px, dtype=np.float64)
     if pixel.ndim != 2 or pixel.shape[1] != 2:
@@ -57,11 +56,10 @@ def initial_frame_vectors(
         raise DomainError(
             f"{len(table_rotation)} table attitudes for {len(pixel)} images; each image needs an attitude"
         )
-    direction = np.array(model.unproject(pixel, band))
-    found = np.isfinite(direction).all(axis=1)
-    vectors = np.full(direction.shape, np.nan)
-    turn = table_rotation if table_rotation.single else table_rotation[found]
-    vectors[found] = (turn * installation.inv()).apply(direction[found])
+    vectors = np.array(model.unproject(pixel))
+    finite = np.isfinite(vectors).all(axis=1)
+    table = table_rotation if table_rotation.single else table_rotation[finite]
+    vectors[finite] = (table * installation.inv()).apply(vectors[finite])
     return vectors
 
 

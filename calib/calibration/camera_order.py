@@ -65,11 +65,11 @@ def cross_validate(stars: Observations, camera: CameraModel, order: str) -> Orde
     squares, count, free = 0.0, 0, 0
     for frame in np.unique(stars.frame):
         predicted = stars.frame == frame
-        made = calibrate_order(stars.select(~predicted), camera, order)
-        free = int((np.diag(made.covariance) > 0).sum())
-        if not made.converged:
+        calibration = calibrate_order(stars.select(~predicted), camera, order)
+        free = int((np.diag(calibration.covariance) > 0).sum())
+        if not calibration.converged:
             continue
-        residual, used = predicted_residuals(stars.select(predicted), made.model)
+        residual, used = predicted_residuals(stars.select(predicted), calibration.model)
         variance = stars.covariance_px2[predicted][:, [0, 1], [0, 1]]
         chi2[frame] = float((residual[used] ** 2 / variance[used]).sum() / max(2 * used.sum() - 3, 1))
         squares, count = squares + float((residual[used] ** 2).sum()), count + 2 * int(used.sum())
@@ -82,11 +82,11 @@ def simplest_adequate(models: Sequence[OrderValidation]) -> OrderValidation:
 
     `DomainError` if no model converges in two frames.
     """
-    known = [model for model in models if np.isfinite(model.chi2).sum() >= 2]
-    if not known:
+    converged = [model for model in models if np.isfinite(model.chi2).sum() >= 2]
+    if not converged:
         raise DomainError("no camera model converges; frames of one camera with one focus are needed")
-    best = min(known, key=lambda model: model.mean_chi2)
-    for model in known:
+    best = min(converged, key=lambda model: model.mean_chi2)
+    for model in converged:
         worse = model.chi2 - best.chi2
         worse = worse[np.isfinite(worse)]
         error = worse.std(ddof=1) / np.sqrt(len(worse)) if len(worse) > 1 else 0.0
@@ -102,23 +102,26 @@ def calibrate_with_floor(
 
     With it the median of the squared residuals is that of a chi-square of two degrees of freedom, ``2 ln 2``.
     """
-    noise = stars.covariance_px2
-    centroid_variance = np.trace(noise, axis1=1, axis2=2) / 2.0
-    floor = start_px
-    made = calibrate_order(replace(stars, covariance_px2=noise + floor**2 * np.eye(2)), camera, order)
+    centroid_variance = np.trace(stars.covariance_px2, axis1=1, axis2=2) / 2.0
+
+    def calibrated(floor_px: float) -> Calibration:
+        covariance = stars.covariance_px2 + floor_px**2 * np.eye(2)
+        return calibrate_order(replace(stars, covariance_px2=covariance), camera, order)
+
+    floor, calibration = start_px, calibrated(start_px)
     for _ in range(FLOOR_ROUNDS):
-        if made.attitude is None:
-            raise DomainError(f"no camera model fits the frames: {made.solution.message}")
-        size2 = (camera_residuals(stars, made.model, made.attitude) ** 2).sum(axis=1) / 2.0
+        if calibration.attitude is None:
+            raise DomainError(f"no camera model fits the frames: {calibration.solution.message}")
+        size2 = (camera_residuals(stars, calibration.model, calibration.attitude) ** 2).sum(axis=1) / 2.0
         typical = [np.median(size2 / (centroid_variance + sigma**2)) / np.log(2.0) for sigma in FLOORS_PX]
         floor = float(np.interp(0.0, 1.0 - np.array(typical), FLOORS_PX))
-        made = calibrate_order(replace(stars, covariance_px2=noise + floor**2 * np.eye(2)), camera, order)
-    return made, floor
+        calibration = calibrated(floor)
+    return calibration, floor
 
 
-def as_calibrated(camera: CameraModel, order: str, *, focal_length_mm: float, grid: int = 15) -> CameraModel:
+def as_calibrated(camera: CameraModel, order: str, *, focal_length_mm: float) -> CameraModel:
     """Camera model of an order that noiseless stars on a grid behind a known camera would give."""
-    pixel = camera.geometry.grid_px(grid)
+    pixel = camera.geometry.grid_px(15)
     stars = Observations.isotropic(
         pixel_px=pixel,
         direction=camera.unproject(pixel),

@@ -103,7 +103,7 @@ class NoAttitude(AttitudeFamily):
         """Without weights larger than the inverse information, since pairs are correlated."""
         if not isinstance(problem, PairProblem):
             return covariance
-        return pair_covariance(problem, evaluation, np.ones(len(evaluation.residual)))
+        return pair_covariance(problem, evaluation)
 
     def fit(
         self, stars: Observations, model: CameraModel, free: BoolArray, start: Any, *, two_step: bool, loss: Loss
@@ -112,10 +112,10 @@ class NoAttitude(AttitudeFamily):
         kept, state, steps = np.ones(len(stars), bool), np.array(model.parameters), 0
         stages = free_stages(model, free, two_step=two_step)
         if loss.name != "linear":
-            found = _right_stars(stars, model, free, two_step)
-            if found.solution.status == "refused":
-                return found
-            kept, state, steps, stages = found.kept, found.state, found.solution.iterations, [free]
+            robust = _inliers(stars, model, free, two_step)
+            if robust.solution.status == "refused":
+                return robust
+            kept, state, steps, stages = robust.kept, robust.state, robust.solution.iterations, [free]
         fitted = stars.select(kept)
         fit = self._fit_pairs(fitted, model, state, stages)
         if self.weighting == "full":
@@ -151,7 +151,7 @@ class NoAttitude(AttitudeFamily):
         fit, _ = fit_stages(lambda stage: PairProblem(stars, model, stage, sigma), state, stages, get_loss("linear"))
         problem = PairProblem.at(stars, model.with_parameters(fit.state), free)
         evaluation = problem.evaluate(fit.state)
-        if evaluation.seen is None:
+        if evaluation.directions is None:
             return fit
         solution = replace(
             fit.solution,
@@ -162,13 +162,13 @@ class NoAttitude(AttitudeFamily):
         return replace(fit, evaluation=evaluation, solution=solution)
 
 
-def _right_stars(stars: Observations, model: CameraModel, free: BoolArray, two_step: bool) -> FamilyFit:
+def _inliers(stars: Observations, model: CameraModel, free: BoolArray, two_step: bool) -> FamilyFit:
     """Camera parameters of a robust fit with free attitudes, and the stars (n,) that fit, two or more per frame."""
     family, loss = FreeAttitudes(), get_loss("tukey")
     start = family.start(stars, model, robust=True)
-    found = family.fit(stars, model, free, start, two_step=two_step, loss=loss)
-    lonely = np.bincount(stars.frame[found.kept], minlength=stars.frames) < 2
-    return replace(found, state=found.state.camera, kept=found.kept & ~lonely[stars.frame])
+    fit = family.fit(stars, model, free, start, two_step=two_step, loss=loss)
+    enough = np.bincount(stars.frame[fit.kept], minlength=stars.frames) >= 2
+    return replace(fit, state=fit.state.camera, kept=fit.kept & enough[stars.frame])
 
 
 def _fit_weighted(start: Fit, stars: StarFrames, model: CameraModel, free: BoolArray) -> Fit:

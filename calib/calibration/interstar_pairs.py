@@ -34,6 +34,7 @@ import numpy as np
 
 from calib.calibration.observations import Observations
 from calib.calibration.stages import free_names
+from calib.calibration.star_problem import rank_in_frame
 from calib.cameras.base import CameraModel, unproject_jacobian
 from calib.fitting.block_arrow import ArrowSystem, GaussNewtonStep
 from calib.fitting.least_squares import covariance_of
@@ -61,32 +62,29 @@ class StarFrames:
 
     def __init__(self, observations: Observations, pairs: Pairs) -> None:
         count = np.bincount(observations.frame, minlength=observations.frames)
-        seen = np.flatnonzero(count)
+        occupied = np.flatnonzero(count)
         self.observations = observations
-        self.frames, self.longest = len(seen), int(count.max(initial=0))
+        self.frames, self.longest = len(occupied), int(count.max(initial=0))
         if self.frames * self.longest**2 > LARGEST_TABLE:
             raise DomainError(
                 f"{self.frames} frames of up to {self.longest} stars give too many pairs; keep the brightest "
                 f"{int(np.sqrt(LARGEST_TABLE / self.frames))} stars of each frame"
             )
-        order = np.argsort(observations.frame, kind="stable")
-        first = np.concatenate([[0], np.cumsum(count)[:-1]])
-        self.rank = np.empty(len(order), dtype=np.int64)
-        self.rank[order] = np.arange(len(order)) - first[observations.frame[order]]
-        self.table = np.searchsorted(seen, observations.frame)
+        self.rank = rank_in_frame(observations.frame, count)
+        self.table = np.searchsorted(occupied, observations.frame)
         self.error_root = np.linalg.cholesky(observations.covariance_px2)
         reference = self.padded(observations.direction)
         self.cosine = reference @ reference.swapaxes(1, 2)
-        size = count[seen]
+        size = count[occupied]
         self.every = pairs == "all"
         i, j = np.triu_indices(self.longest, 1)
         if pairs == "all":
             frame, which = np.nonzero(j[None, :] < size[:, None])
             self.pair = (frame, i[which], j[which])
         else:
-            place = np.arange(self.longest)
-            frame, one = np.nonzero((place < np.where(size > 2, size, 1)[:, None]) & (size > 1)[:, None])
-            self.pair = (frame, one, (one + 1) % size[frame])
+            rank = np.arange(self.longest)
+            frame, first = np.nonzero((rank < np.where(size > 2, size, 1)[:, None]) & (size > 1)[:, None])
+            self.pair = (frame, first, (first + 1) % size[frame])
 
     def padded(self, values: FloatArray) -> FloatArray:
         """Values (m, ...) of the stars in a table (f, n, ...), zero where there is no star."""
@@ -97,81 +95,75 @@ class StarFrames:
     def directions(self, model: CameraModel, free: BoolArray) -> Directions | None:
         """Directions by a camera, with derivatives; None where a pixel has no direction."""
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # a camera on its way may fold the image
-            seen = unproject_jacobian(model, self.observations.pixel_px, self.observations.band)
-        if not (np.isfinite(seen.direction).all() and np.isfinite(seen.by_parameter).all()):
+            at = unproject_jacobian(model, self.observations.pixel_px, self.observations.band)
+        if not (np.isfinite(at.direction).all() and np.isfinite(at.by_parameter).all()):
             return None
         return Directions(
-            self.padded(seen.direction),
-            self.padded(seen.by_parameter[:, :, free].swapaxes(1, 2)),
-            self.padded((seen.by_pixel @ self.error_root).swapaxes(1, 2)),
+            self.padded(at.direction),
+            self.padded(at.by_parameter[:, :, free].swapaxes(1, 2)),
+            self.padded((at.by_pixel @ self.error_root).swapaxes(1, 2)),
         )
 
     def misclosure(self, unit: FloatArray) -> FloatArray:
         """y (f, n, n)."""
         return unit @ unit.swapaxes(1, 2) - self.cosine
 
-    def weight_table(self, weight: FloatArray) -> FloatArray | None:
-        """Symmetric weights (f, n, n) of the chosen pairs from theirs (m,); None where all pairs count the same."""
-        if self.every and bool(np.all(weight == 1.0)):
-            return None
-        f, i, j = self.pair
-        table = np.zeros((self.frames, self.longest, self.longest))
-        table[f, i, j] += weight
-        table[f, j, i] += weight
-        return table
-
-    def pair_rows(self, seen: Directions) -> FloatArray:
+    def pair_rows(self, directions: Directions) -> FloatArray:
         """Derivatives of the misclosures of the chosen pairs by the parameters (m, q)."""
         f, i, j = self.pair
         first, second = f * self.longest + i, f * self.longest + j
-        q = seen.by_parameter.shape[2]
+        q = directions.by_parameter.shape[2]
         out = np.zeros((len(f), q))
         for k in range(3):
-            moved = np.ascontiguousarray(seen.by_parameter[..., k]).reshape(-1, q)
-            unit = np.ascontiguousarray(seen.unit[..., k]).ravel()
+            moved = np.ascontiguousarray(directions.by_parameter[..., k]).reshape(-1, q)
+            unit = np.ascontiguousarray(directions.unit[..., k]).ravel()
             out += moved[first] * unit[second, None]
             out += moved[second] * unit[first, None]
         return out
 
-    def normal_equations(self, seen: Directions, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """J^T W J (q, q) and J^T W y (q,) of the chosen pairs with weights (m,).
+    def normal_equations(self, directions: Directions) -> tuple[FloatArray, FloatArray]:
+        """J^T J (q, q) and J^T y (q,) of the chosen pairs.
 
         With X_ijq = (d u_i / d q) . u_j, the row of a pair is X_ijq + X_jiq, and the sum over all pairs is that of
-        X_ijq (X_ijr + X_jir) over all (i, j). With equal weights the sums over j are (3, 3) matrices.
+        X_ijq (X_ijr + X_jir) over all (i, j), in which the sums over j are (3, 3) matrices.
         """
-        y = self.misclosure(seen.unit)
-        if not (self.every and bool(np.all(weight == 1.0))):
-            rows = self.pair_rows(seen)
-            weighted = rows * weight[:, None]
-            return rows.T @ weighted, weighted.T @ y[self.pair]
-        frames, n, q, _ = seen.by_parameter.shape
-        square = seen.unit.swapaxes(1, 2) @ seen.unit
-        onto = (seen.by_parameter.reshape(frames, n * q, 3) @ square).reshape(frames, n, q, 3)
-        cross = _crossed(seen)
-        normal = np.tensordot(seen.by_parameter, onto, axes=([0, 1, 3], [0, 1, 3]))
+        y = self.misclosure(directions.unit)
+        if not self.every:
+            rows = self.pair_rows(directions)
+            return rows.T @ rows, rows.T @ y[self.pair]
+        by_parameter, cross = directions.by_parameter, _crossed(directions)
+        normal = np.tensordot(by_parameter, _onto_partners(directions), axes=([0, 1, 3], [0, 1, 3]))
         normal += np.tensordot(cross, cross, axes=([0, 2, 3], [0, 3, 2]))
-        return normal, np.tensordot(seen.by_parameter, y @ seen.unit, axes=([0, 1, 3], [0, 1, 2]))
+        return normal, np.tensordot(by_parameter, y @ directions.unit, axes=([0, 1, 3], [0, 1, 2]))
 
-    def reach(self, seen: Directions, table: FloatArray | None) -> FloatArray:
-        """J^T W G (q, 2 f n): how unit position errors move the gradient."""
-        frames, n, q, _ = seen.by_parameter.shape
-        if table is None:
-            square = seen.unit.swapaxes(1, 2) @ seen.unit
-            own = (seen.by_parameter.reshape(frames, n * q, 3) @ square).reshape(frames, n, q, 3)
-            own = own + np.einsum("fqkl,fil->fiqk", _crossed(seen).swapaxes(2, 3), seen.unit)
+    def gradient_by_error(self, directions: Directions) -> FloatArray:
+        """J^T G (q, 2 f n): how unit position errors move the gradient."""
+        unit, (frames, n, q, _) = directions.unit, directions.by_parameter.shape
+        if self.every:
+            crossed = np.einsum("fqkl,fil->fiqk", _crossed(directions).swapaxes(2, 3), unit)
+            by_direction = _onto_partners(directions) + crossed
         else:
-            half = seen.by_parameter.reshape(frames, n * q, 3) @ seen.unit.swapaxes(1, 2)
-            half = half.reshape(frames, n, q, n)
-            both = (half + half.transpose(0, 3, 2, 1)) * table[:, :, None, :]
-            own = (both.reshape(frames, n * q, n) @ seen.unit).reshape(frames, n, q, 3)
-        moved = own @ seen.by_error.swapaxes(2, 3)  # (f, n, q, 2)
-        return np.asarray(moved.transpose(2, 0, 1, 3).reshape(q, -1))
+            f, i, j = self.pair
+            chosen = np.zeros((frames, n, n))
+            np.add.at(chosen, (np.tile(f, 2), np.concatenate([i, j]), np.concatenate([j, i])), 1.0)
+            half = (directions.by_parameter.reshape(frames, n * q, 3) @ unit.swapaxes(1, 2)).reshape(frames, n, q, n)
+            both = (half + half.transpose(0, 3, 2, 1)) * chosen[:, :, None, :]
+            by_direction = (both.reshape(frames, n * q, n) @ unit).reshape(frames, n, q, 3)
+        by_error = by_direction @ directions.by_error.swapaxes(2, 3)  # (f, n, q, 2)
+        return np.asarray(by_error.transpose(2, 0, 1, 3).reshape(q, -1))
 
 
-def _crossed(seen: Directions) -> FloatArray:
+def _onto_partners(directions: Directions) -> FloatArray:
+    """(d u_i / d q)^T times the sum of u u^T over the stars of the frame, (f, n, q, 3)."""
+    frames, n, q, _ = directions.by_parameter.shape
+    square = directions.unit.swapaxes(1, 2) @ directions.unit
+    return np.asarray((directions.by_parameter.reshape(frames, n * q, 3) @ square).reshape(frames, n, q, 3))
+
+
+def _crossed(directions: Directions) -> FloatArray:
     """K (f, q, 3, 3), the sum over stars of (d u / d q) u^T."""
-    frames, n, q, _ = seen.by_parameter.shape
-    flat = seen.by_parameter.reshape(frames, n, 3 * q).swapaxes(1, 2) @ seen.unit
+    frames, n, q, _ = directions.by_parameter.shape
+    flat = directions.by_parameter.reshape(frames, n, 3 * q).swapaxes(1, 2) @ directions.unit
     return np.asarray(flat.reshape(frames, q, 3, 3))
 
 
@@ -189,7 +181,7 @@ class PairEvaluation:
     """Residuals with what the normal equations need."""
 
     residual: FloatArray
-    seen: Directions | None
+    directions: Directions | None
     penalty: float = 0.0
 
 
@@ -228,54 +220,51 @@ class PairProblem(_CameraProblem):
     @classmethod
     def at(cls, stars: StarFrames, model: CameraModel, free: BoolArray) -> PairProblem:
         """The problem with the typical sigma at a camera."""
-        seen = stars.directions(model, free)
-        return cls(stars, model, free, 1.0 if seen is None else typical_sigma(stars, seen))
+        directions = stars.directions(model, free)
+        return cls(stars, model, free, 1.0 if directions is None else typical_sigma(stars, directions))
 
     def evaluate(self, state: FloatArray) -> PairEvaluation:
         """Misclosures over the typical sigma (m, 1)."""
-        seen = self.directions(state)
-        if seen is None:
+        directions = self.directions(state)
+        if directions is None:
             return PairEvaluation(np.full((len(self.stars.pair[0]), 1), np.nan), None)
-        return PairEvaluation(self.stars.misclosure(seen.unit)[self.stars.pair][:, None] / self.sigma, seen)
+        return PairEvaluation(self.stars.misclosure(directions.unit)[self.stars.pair][:, None] / self.sigma, directions)
 
     def system(self, evaluation: PairEvaluation, weight: FloatArray) -> ArrowSystem:
-        """Normal equations at a state."""
-        assert evaluation.seen is not None
-        normal, gradient = self.stars.normal_equations(evaluation.seen, weight)
+        """Normal equations at a state; pairs are fitted by plain least squares, their weights are one."""
+        assert evaluation.directions is not None
+        normal, gradient = self.stars.normal_equations(evaluation.directions)
         return ArrowSystem(common=normal / self.sigma**2, gradient=gradient / self.sigma**2)
 
 
-def typical_sigma(stars: StarFrames, seen: Directions) -> float:
+def typical_sigma(stars: StarFrames, directions: Directions) -> float:
     """Root mean variance of the misclosures of the chosen pairs, from the position errors."""
     f, i, j = stars.pair
     if stars.every:  # the sum over partners is a (3, 3) matrix
-        square = seen.unit.swapaxes(1, 2) @ seen.unit
-        variance = float(np.sum((seen.by_error @ square[:, None]) * seen.by_error)) / len(f)
+        square = directions.unit.swapaxes(1, 2) @ directions.unit
+        variance = float(np.sum((directions.by_error @ square[:, None]) * directions.by_error)) / len(f)
         return float(np.sqrt(variance)) if variance > 0 else 1.0
-    one = np.einsum("mak,mk->ma", seen.by_error[f, i], seen.unit[f, j])
-    other = np.einsum("mak,mk->ma", seen.by_error[f, j], seen.unit[f, i])
-    return float(np.sqrt(np.mean(np.sum(one**2 + other**2, axis=1)))) or 1.0
+    by_first = np.einsum("mak,mk->ma", directions.by_error[f, i], directions.unit[f, j])
+    by_second = np.einsum("mak,mk->ma", directions.by_error[f, j], directions.unit[f, i])
+    return float(np.sqrt(np.mean(np.sum(by_first**2 + by_second**2, axis=1)))) or 1.0
 
 
-def pair_covariance(problem: PairProblem, evaluation: PairEvaluation, weight: FloatArray) -> FloatArray:
+def pair_covariance(problem: PairProblem, evaluation: PairEvaluation) -> FloatArray:
     """Covariance of the parameters from equally weighted pairs, correlations between pairs included.
 
-    The estimate is (J^T W J)^-1 J^T W y, and y = G e with unit e, so that its covariance is S S^T with S = (J^T W J)^-1
-    J^T W G. Equal weights are not the right ones; the inverse normal matrix alone would be too small, since it counts
-    every pair as new information.
+    The estimate is (J^T J)^-1 J^T y, and y = G e with unit e, so that its covariance is S S^T, S = (J^T J)^-1 J^T G.
+    Equal weights are not the right ones; the inverse normal matrix alone would be too small, since it counts every pair
+    as new information.
     """
-    seen = evaluation.seen
-    assert seen is not None
-    table = problem.stars.weight_table(weight)
-    reach = problem.stars.reach(seen, table)
-    normal, _ = problem.stars.normal_equations(seen, weight)
-    reduced = ArrowSystem(common=normal, gradient=np.zeros(len(normal))).reduce()
-    inverse = covariance_of(reduced, problem.names).covariance
+    directions = evaluation.directions
+    assert directions is not None
+    normal, gradient = problem.stars.normal_equations(directions)
+    inverse = covariance_of(ArrowSystem(common=normal, gradient=gradient).reduce(), problem.names).covariance
     lost = np.isinf(np.diagonal(inverse))
-    root = np.where(lost[:, None] | lost, 0.0, inverse) @ reach
-    out = root @ root.T
-    out[lost, lost] = np.inf
-    return np.asarray(out)
+    root = np.where(lost[:, None] | lost, 0.0, inverse) @ problem.stars.gradient_by_error(directions)
+    covariance = np.asarray(root @ root.T)
+    covariance[lost, lost] = np.inf
+    return covariance
 
 
 class WeightedPairProblem(_CameraProblem):
@@ -283,31 +272,31 @@ class WeightedPairProblem(_CameraProblem):
 
     def __init__(self, stars: StarFrames, model: CameraModel, free: BoolArray) -> None:
         super().__init__(stars, model, free)
-        seen = stars.directions(model, free)
-        if seen is None:
+        directions = stars.directions(model, free)
+        if directions is None:
             raise DomainError("weights of interstar angles: a pixel has no direction in this camera model")
-        frames = len(seen.unit)
+        frames = len(directions.unit)
         size = np.bincount(stars.table, minlength=frames)
         # turns of the frames are unknowns in disguise: a frame of n stars gives 2 n - 3 measurements
         self.unknowns += 3 * frames
-        self._frozen = seen
-        self._blocks, self._low, self._core = self._weights(seen, size)
+        self._frozen = directions
+        self._blocks, self._low, self._core = self._weights(directions, size)
 
-    def _weights(self, seen: Directions, size: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _weights(self, directions: Directions, size: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """D^-1 (f, n, 2, 2), D^-1 F (f, 2n, 12) and (K^-1 + F^T D^-1 F)^-1 (f, 12, 12)."""
-        frames, n, _ = seen.unit.shape
-        tangent = seen.by_error
-        square = seen.unit.swapaxes(1, 2) @ seen.unit
+        frames, n, _ = directions.unit.shape
+        tangent = directions.by_error
+        square = directions.unit.swapaxes(1, 2) @ directions.unit
         blocks = tangent @ square[:, None] @ tangent.swapaxes(2, 3)
         mean = np.einsum("fiaa->f", blocks) / np.maximum(2 * size, 1)
-        lonely = np.arange(n)[None, :] >= size[:, None]
-        blocks = blocks + np.where(lonely, 1.0, FLOOR * mean[:, None])[:, :, None, None] * np.eye(2)
+        absent = np.arange(n)[None, :] >= size[:, None]
+        blocks = blocks + np.where(absent, 1.0, FLOOR * mean[:, None])[:, :, None, None] * np.eye(2)
         metric = tangent @ tangent.swapaxes(2, 3)
-        metric[lonely] = np.eye(2)
+        metric[absent] = np.eye(2)
         # null vectors: the position errors that look like a turn w, e = T^+ (w x u)
-        turn = np.cross(np.eye(3)[None, None], seen.unit[:, :, None, :])
+        turn = np.cross(np.eye(3)[None, None], directions.unit[:, :, None, :])
         null = _inverse2(metric) @ (tangent @ turn.swapaxes(2, 3))
-        product = (tangent[:, :, :, :, None] * seen.unit[:, :, None, None, :]).reshape(frames, n, 2, 9)  # A
+        product = (tangent[:, :, :, :, None] * directions.unit[:, :, None, None, :]).reshape(frames, n, 2, 9)  # A
         factor = np.concatenate([product, null], axis=3)
         inverse = _inverse2(blocks)
         low = (inverse @ factor).reshape(frames, 2 * n, 12)
@@ -320,35 +309,30 @@ class WeightedPairProblem(_CameraProblem):
     def _weighted(self, right: FloatArray) -> FloatArray:
         """(G^T G + c N N^T)^-1 times ``right`` (f, n, 2, m), as (f, 2n, m)."""
         frames, n, _, columns = right.shape
-        pulled = self._low.swapaxes(1, 2) @ right.reshape(frames, 2 * n, columns)
-        own = (self._blocks @ right).reshape(frames, 2 * n, columns)
-        return np.asarray(own - self._low @ (self._core @ pulled))
+        corrected = self._low @ (self._core @ (self._low.swapaxes(1, 2) @ right.reshape(frames, 2 * n, columns)))
+        return np.asarray((self._blocks @ right).reshape(frames, 2 * n, columns) - corrected)
 
     def evaluate(self, state: FloatArray) -> PairEvaluation:
         """z (m, 2), one row per star."""
-        stars, seen = self.stars, self.directions(state)
-        if seen is None:
+        stars, directions = self.stars, self.directions(state)
+        if directions is None:
             return PairEvaluation(np.full((len(stars.table), 2), np.nan), None)
-        across = stars.misclosure(seen.unit) @ self._frozen.unit  # misclosures themselves: no digits are lost
-        pulled = self._frozen.by_error @ across[:, :, :, None]
-        z = self._weighted(pulled).reshape(stars.frames, stars.longest, 2)
-        return PairEvaluation(z[stars.table, stars.rank], seen)
+        across = stars.misclosure(directions.unit) @ self._frozen.unit  # misclosures themselves: no digits are lost
+        z = self._weighted(self._frozen.by_error @ across[:, :, :, None]).reshape(stars.frames, stars.longest, 2)
+        return PairEvaluation(z[stars.table, stars.rank], directions)
 
-    def rows(self, seen: Directions) -> FloatArray:
+    def rows(self, directions: Directions) -> FloatArray:
         """Derivatives of z by the parameters (f, 2n, q)."""
-        frames, n, q, _ = seen.by_parameter.shape
+        frames, n, q, _ = directions.by_parameter.shape
         unit = self._frozen.unit
-        own = seen.by_parameter.reshape(frames, n * q, 3) @ (seen.unit.swapaxes(1, 2) @ unit)
-        others = seen.by_parameter.reshape(frames, n, 3 * q).swapaxes(1, 2) @ unit  # sum over j of (d u_j) u_j^T
-        others = seen.unit @ others.reshape(frames, q, 3, 3).transpose(0, 2, 1, 3).reshape(frames, 3, 3 * q)
+        own = directions.by_parameter.reshape(frames, n * q, 3) @ (directions.unit.swapaxes(1, 2) @ unit)
+        others = directions.by_parameter.reshape(frames, n, 3 * q).swapaxes(1, 2) @ unit  # sum over j of (d u_j) u_j^T
+        others = directions.unit @ others.reshape(frames, q, 3, 3).transpose(0, 2, 1, 3).reshape(frames, 3, 3 * q)
         across = own.reshape(frames, n, q, 3) + others.reshape(frames, n, q, 3)
         return self._weighted(self._frozen.by_error @ across.swapaxes(2, 3))
 
     def system(self, evaluation: PairEvaluation, weight: FloatArray) -> ArrowSystem:
-        """Normal equations."""
-        assert evaluation.seen is not None
-        stars = self.stars
-        rows = self.rows(evaluation.seen).reshape(-1, self.free.sum())
-        residual = stars.padded(evaluation.residual).reshape(-1)
-        weighted = rows * np.repeat(stars.padded(weight).reshape(-1), 2)[:, None]
-        return ArrowSystem(common=rows.T @ weighted, gradient=weighted.T @ residual)
+        """Normal equations; see `PairProblem.system` on the weights."""
+        assert evaluation.directions is not None
+        rows = self.rows(evaluation.directions).reshape(-1, self.free.sum())
+        return ArrowSystem(common=rows.T @ rows, gradient=rows.T @ self.stars.padded(evaluation.residual).reshape(-1))

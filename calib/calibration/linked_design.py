@@ -15,7 +15,7 @@ size per axis, sign unknown) and an angle random walk:
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -65,13 +65,7 @@ class LinkedDesign:
 
     def select(self, mask: NDArray[np.bool_]) -> LinkedDesign:
         """The same with some of the stars."""
-        return LinkedDesign(
-            by_model=self.by_model[mask],
-            by_attitude=self.by_attitude[mask],
-            frame=self.frame[mask],
-            link=self.link,
-            drift=self.drift,
-        )
+        return replace(self, by_model=self.by_model[mask], by_attitude=self.by_attitude[mask], frame=self.frame[mask])
 
     @property
     def frames(self) -> int:
@@ -80,8 +74,8 @@ class LinkedDesign:
 
     def by_unknown(self) -> FloatArray:
         """(2 n, p + 6): by camera parameters, first attitude, installation."""
-        tied = self.by_attitude @ self.link[self.frame]
-        return np.concatenate([self.by_model, tied], axis=2).reshape(-1, self.by_model.shape[2] + 6)
+        by_link = self.by_attitude @ self.link[self.frame]
+        return np.concatenate([self.by_model, by_link], axis=2).reshape(-1, self.by_model.shape[2] + 6)
 
     def least_information(self) -> float:
         """Smallest over largest eigenvalue of the scaled normal matrix; 0 for fewer measurements than unknowns."""

@@ -233,8 +233,13 @@ def _layout(frame: IntArray, count: IntArray) -> tuple[IntArray | None, int]:
     longest = int(count.max(initial=0))
     if longest * len(count) > 4 * len(frame) + 1000:
         return None, longest
+    return frame * longest + rank_in_frame(frame, count), longest
+
+
+def rank_in_frame(frame: IntArray, count: IntArray) -> IntArray:
+    """Number (n,) of each star among those of its frame, frames having ``count`` (f,) of them."""
     order = np.argsort(frame, kind="stable")
     first = np.concatenate([[0], np.cumsum(count)[:-1]])
     rank = np.empty(len(frame), dtype=np.int64)
     rank[order] = np.arange(len(frame)) - first[frame[order]]
-    return frame * longest + rank, longest
+    return rank

@@ -8,24 +8,25 @@ from optics.arrays import FloatArray
 from optics.field_map import polynomial_basis
 
 
-def smooth_map_rms(position_px: FloatArray, shift_px: FloatArray, degree: int = 3) -> tuple[FloatArray, FloatArray]:
+def smooth_map_rms(position_px: FloatArray, shift_px: FloatArray) -> tuple[FloatArray, FloatArray]:
     """RMS (2,) of a smooth map less its mean, and its standard deviation, from measured shifts (n, 2) [px].
 
     A polynomial is fitted (ACC18 eq. 19: cubic); its scatter, with free parameters counted (noise, S-curve and response
     of the pixels), is subtracted from the mean square.
     """
-    smooth, noise = _smooth(position_px, shift_px, degree)
-    count, free = len(shift_px), (degree + 1) * (degree + 2) // 2
+    smooth, noise, free = _smooth(position_px, shift_px, degree=3)
+    count = len(shift_px)
     square = smooth.var(axis=0) - noise**2 * (free - 1) / count
     return np.sqrt(np.maximum(square, 0.0)), noise / np.sqrt(count)
 
 
-def _smooth(position_px: FloatArray, shift_px: FloatArray, degree: int) -> tuple[FloatArray, FloatArray]:
-    """Fitted polynomial (n, 2), and RMS (2,) of the shifts about it, free parameters counted."""
+def _smooth(position_px: FloatArray, shift_px: FloatArray, degree: int) -> tuple[FloatArray, FloatArray, int]:
+    """Fitted polynomial (n, 2), RMS (2,) of the shifts about it, free parameters counted, and their number."""
     low, high = position_px.min(0), position_px.max(0)
     basis = polynomial_basis((2.0 * position_px - low - high) / (high - low), degree)
     smooth = basis @ np.linalg.lstsq(basis, shift_px, rcond=None)[0]
-    return smooth, np.sqrt(((shift_px - smooth) ** 2).sum(0) / (len(basis) - basis.shape[1]))
+    free = basis.shape[1]
+    return smooth, np.sqrt(((shift_px - smooth) ** 2).sum(0) / (len(basis) - free)), free
 
 
 def growth_along_axes(position_px: FloatArray, shift_px: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -72,7 +72,6 @@ def fit_to_map(
     band: ArrayLike | None = None,
     free: Sequence[str] | None = None,
     turn: bool = True,
-    max_iterations: int = 200,
 ) -> MapFit:
     """Fit a camera model to a noiseless map of directions to pixels.
 
@@ -91,8 +90,6 @@ def fit_to_map(
     turn : bool
         Whether the model may be turned against the map. The principal point of a Brown-Conrady camera is nearly
         degenerate with it; the fit is unharmed, the single values mean little.
-    max_iterations : int
-        Steps tried at most.
 
     Returns
     -------
@@ -126,7 +123,7 @@ def fit_to_map(
 
     start = np.concatenate([model.parameters, np.zeros(3)])
     problem = DenseProblem(residuals, jacobian, names, start, free=chosen)
-    fit = solve(problem, start, tolerance=1e-8, max_iterations=max_iterations)
+    fit = solve(problem, start, tolerance=1e-8, max_iterations=200)
     fitted = model.with_parameters(fit.state[:size])
     rotation = Rotation.from_rotvec(fit.state[size:])
     at = fitted.project(vector @ rotation.as_matrix().T, band)
@@ -194,11 +191,11 @@ def fit_camera(camera: Mapped | PixelMap, *, good_px: float = GOOD_PX) -> MapFit
     return min(fits, key=lambda fit: fit.max_px)
 
 
-def as_brown_conrady(camera: CameraModel, *, grid: int = 15) -> BrownConrady:
+def as_brown_conrady(camera: CameraModel) -> BrownConrady:
     """Brown-Conrady camera with the map of another model on a grid, of the same attitude."""
     if isinstance(camera, BrownConrady):
         return camera
-    pixel = camera.geometry.grid_px(grid)
+    pixel = camera.geometry.grid_px(15)
     ray = camera.unproject(pixel)
     ideal = ray[:, :2] / ray[:, 2:]
     focal_px = float(np.linalg.norm(pixel[-1] - pixel[0]) / np.linalg.norm(ideal[-1] - ideal[0]))

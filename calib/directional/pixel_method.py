@@ -48,9 +48,9 @@ def pixel_noise_ratio(field_deg: float) -> float:
     return float(np.sqrt(0.5 * np.sum(weight * (stretch**-2 + stretch**-1))))
 
 
-def vectors_needed(excess: float, level: float = 0.95) -> float:
-    """Star vectors for which the interval of sigma is as narrow as a bias; at 95 %, 1.96/(2 sqrt n) = excess."""
-    return float((norm.isf((1.0 - level) / 2.0) / 2.0 / abs(excess)) ** 2)
+def vectors_needed(excess: float) -> float:
+    """Star vectors for which the 95 % interval of sigma is as narrow as a bias: 1.96/(2 sqrt n) = excess."""
+    return float((norm.isf(0.025) / 2.0 / abs(excess)) ** 2)
 
 
 def pixel_method_ratio(by_pixel: FloatArray, axis_by_pixel: FloatArray, noise_px2: FloatArray | None = None) -> float:

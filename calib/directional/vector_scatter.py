@@ -21,6 +21,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.stats import chi2, norm
 
 from optics.arrays import FloatArray
@@ -69,7 +70,7 @@ def scatter_of_other_data(
     Shapes: ``vector_by_pixel`` (n, 2, 2) [rad/px], ``noise_px2`` (n, 2, 2), ``design`` (n, 2, q),
     ``calibration_covariance`` (q, q).
     """
-    spread = _blocks(vector_by_pixel @ noise_px2 @ np.swapaxes(vector_by_pixel, 1, 2))
+    spread = block_diag(*vector_by_pixel @ noise_px2 @ np.swapaxes(vector_by_pixel, 1, 2))
     by_unknown = (vector_by_pixel @ design)[:, :, :-STAR_COLUMNS].reshape(len(spread), -1)
     part = calibration_covariance[:-STAR_COLUMNS, :-STAR_COLUMNS]
     return _scatter(spread + by_unknown @ part @ by_unknown.T, vector_by_pixel, noise_px2)
@@ -82,11 +83,11 @@ def scatter_of_own_data(vector_by_pixel: FloatArray, noise_px2: FloatArray, desi
     """
     flat = design.reshape(-1, design.shape[2])
     flat = flat / np.linalg.norm(flat, axis=0)
-    weight = _blocks(np.asarray(np.linalg.inv(noise_px2), np.float64))
+    weight = block_diag(*np.asarray(np.linalg.inv(noise_px2), np.float64))
     gain = np.linalg.solve(flat.T @ weight @ flat, flat.T @ weight)
     residual_maker = np.eye(len(flat)) - flat[:, :-STAR_COLUMNS] @ gain[:-STAR_COLUMNS]
-    carried = _blocks(vector_by_pixel) @ residual_maker
-    return _scatter(carried @ _blocks(noise_px2) @ carried.T, vector_by_pixel, noise_px2)
+    carried = block_diag(*vector_by_pixel) @ residual_maker
+    return _scatter(carried @ block_diag(*noise_px2) @ carried.T, vector_by_pixel, noise_px2)
 
 
 def pixel_method_scatter(vector_by_pixel: FloatArray, noise_px2: FloatArray) -> float:
@@ -103,14 +104,6 @@ def pixel_method_scatter(vector_by_pixel: FloatArray, noise_px2: FloatArray) -> 
     sphere = np.swapaxes(vector_by_pixel, 1, 2) @ vector_by_pixel @ noise_px2
     difference = noise_px2 / np.einsum("nii->", noise_px2) - sphere / np.einsum("nii->", sphere)
     return float(np.sqrt(np.einsum("nij,nji->", difference, difference) / 2.0))
-
-
-def _blocks(matrices: FloatArray) -> FloatArray:
-    """Block-diagonal (2n, 2n) of (n, 2, 2)."""
-    count = len(matrices)
-    full = np.zeros((count, 2, count, 2))
-    full[np.arange(count), :, np.arange(count)] = matrices
-    return full.reshape(2 * count, 2 * count)
 
 
 def _scatter(covariance: FloatArray, vector_by_pixel: FloatArray, noise_px2: FloatArray) -> VectorScatter:

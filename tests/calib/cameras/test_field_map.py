@@ -13,10 +13,10 @@ def test_what_a_fit_leaves_counts_its_parameters():
     smooth *= [0.05, 0.08] / smooth.std(0)
     noise = np.array([0.03, 0.05])
     drawn = smooth + noise * rng.standard_normal((300, 48, 2))
-    squares = np.mean([_smooth(place, one, 3)[1] ** 2 for one in drawn], axis=0)
+    squares = np.mean([_smooth(place, shift, 3)[1] ** 2 for shift in drawn], axis=0)
     np.testing.assert_allclose(np.sqrt(squares), noise, rtol=4.0 / np.sqrt(2 * 38 * 300))
     # the smooth map itself, of this RMS about its mean, without what the noise of its terms adds
-    found, stated = np.transpose([smooth_map_rms(place, one) for one in drawn], (1, 0, 2))
+    found, stated = np.transpose([smooth_map_rms(place, shift) for shift in drawn], (1, 0, 2))
     np.testing.assert_allclose(found.mean(0), [0.05, 0.08], atol=4.0 * 0.05 / np.sqrt(48 * 300))
     np.testing.assert_allclose(found.std(0), stated.mean(0), rtol=4.0 / np.sqrt(600))
 
