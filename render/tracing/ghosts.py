@@ -100,13 +100,13 @@ class Ghosting:
     ) -> GhostTruth:
         """Add ghosts of stars in directions (n, 3) in cam, whose truth is known, to an image (h, w, b)."""
         assert truth.electrons_absorbed is not None
-        through = truth.electrons_in - truth.electrons_vignetted - truth.electrons_hidden - truth.electrons_absorbed
+        entering_e = truth.electrons_in - truth.electrons_vignetted - truth.electrons_hidden - truth.electrons_absorbed
         area = entrance_pupil(self.lens).area_mm2
         rows: list[tuple[Any, ...]] = []
         for band, nm in enumerate(wavelength_nm.mean(1).tolist()):
-            visible = self._visible(direction, nm, through[:, band] / area)
+            visible = self._visible(direction, nm, entering_e[:, band] / area)
             for star in np.flatnonzero(visible.any(1)).tolist():
-                electrons, pairs = float(through[star, band]), self._chosen(visible[star])
+                electrons, pairs = float(entering_e[star, band]), self._chosen(visible[star])
                 rays, entering = entering_rays(self.lens, direction[star], nm)
                 direct = float(self._path(None).trace(rays, entering).weight.sum())
                 if direct > 0.0:
@@ -149,8 +149,9 @@ class Ghosting:
     def _facing(self, stars: StarField, exposure_s: float) -> FloatArray:
         """Electrons (n, b) that the light on the first surface would be worth, if none of it were lost."""
         wave, area = stars.wavelength_nm, math.pi * entrance_radius_mm(self.lens) ** 2
-        through = np.reshape(self._losses.along_axis(self.lens, wave.ravel()), wave.shape)
-        return np.asarray((stars.photon_rate * self.camera.response_at(wave) / through).sum(2) * (exposure_s * area))
+        transmission = np.reshape(self._losses.along_axis(self.lens, wave.ravel()), wave.shape)
+        rate = (stars.photon_rate * self.camera.response_at(wave) / transmission).sum(2)
+        return np.asarray(rate * (exposure_s * area))
 
     def _chosen(self, visible: NDArray[np.bool_]) -> list[tuple[int, int]]:
         return [self._pairs[p] for p in np.flatnonzero(visible)]
@@ -172,7 +173,7 @@ class Ghosting:
         """Area (a, p) [mm^2] in front of the lens whose light the brightest pixel of every path holds."""
         if nm not in self._seen:
             source = np.stack([np.sin(self._angles), 0.0 * self._angles, np.cos(self._angles)], axis=-1)
-            parts = [front_rays(self.lens, one, nm, ORDER) for one in source]
+            parts = [front_rays(self.lens, direction, nm, ORDER) for direction in source]
             x, y, z, facing = (
                 np.concatenate([np.broadcast_to(v, area.shape) for v, area in zip(column, areas, strict=True)])
                 for areas in [[area for _, area in parts]]
@@ -180,14 +181,15 @@ class Ghosting:
             )
             along = np.repeat(light_direction(source), len(x) // len(source), axis=0)
             rays = Rays.create(x_mm=x, y_mm=y, z_mm=z, direction=along, wavelength_nm=nm)
-            self._seen[nm] = found = np.zeros((len(source), len(self._pairs)))
+            self._seen[nm] = areas = np.zeros((len(source), len(self._pairs)))
             for p, pair in enumerate(self._pairs):
-                one = self._path(pair).trace(rays, facing, self.light.detector_reflectance)
-                weight = one.weight.reshape(len(source), -1)
-                place = np.stack(self.camera.to_pixel(one.rays.x, one.rays.y)).reshape(2, *weight.shape)
+                path_rays = self._path(pair).trace(rays, facing, self.light.detector_reflectance)
+                weight = path_rays.weight.reshape(len(source), -1)
+                landed_px = self.camera.to_pixel(path_rays.rays.x, path_rays.rays.y)
+                position_px = np.stack(landed_px).reshape(2, *weight.shape)
                 for a, lit in enumerate(weight > 0.0):
                     if lit.any():
-                        found[a, p] = weight[a].sum() / _moments(place[:, a, lit], weight[a, lit])[3]
+                        areas[a, p] = weight[a].sum() / _moments(position_px[:, a, lit], weight[a, lit])[3]
         return self._seen[nm]
 
     def _rows(
@@ -201,40 +203,43 @@ class Ghosting:
         (rays, light), count, disk = beam, beam[1].size, gauss_disk(*DISK)
         extended = rays.x.size > count
         light = np.tile(light, rays.x.size // count)
-        found: list[tuple[Any, ...]] = []
+        rows: list[tuple[Any, ...]] = []
         for pair in pairs:
-            one = self._path(pair).trace(rays, light, self.light.detector_reflectance)
-            lit = np.flatnonzero(one.weight[:count] > 0.0)
+            path_rays = self._path(pair).trace(rays, light, self.light.detector_reflectance)
+            lit = np.flatnonzero(path_rays.weight[:count] > 0.0)
             if not len(lit):
                 continue
-            weight, every = one.weight[lit], np.stack(self.camera.to_pixel(one.rays.x, one.rays.y))
-            place = every[:, lit]
-            sigma = max(self.camera.blur_px, 1.5 * _moments(place, weight)[2] / math.sqrt(len(lit)), 0.05)
+            landed_px = np.stack(self.camera.to_pixel(path_rays.rays.x, path_rays.rays.y))
+            weight, position_px = path_rays.weight[lit], landed_px[:, lit]
+            sigma = max(self.camera.blur_px, 1.5 * _moments(position_px, weight)[2] / math.sqrt(len(lit)), 0.05)
             if extended:
                 ends = lit + count * np.array([[1], [2]])
-                known = one.rays.status[ends] == OK
-                first, second = (np.where(k, every[:, e] - place, 0.0) for k, e in zip(known, ends, strict=True))
-                place = (place[..., None] + first[..., None] * disk.x + second[..., None] * disk.y).reshape(2, -1)
+                traced = path_rays.rays.status[ends] == OK
+                first, second = (
+                    np.where(ok, landed_px[:, end] - position_px, 0.0) for ok, end in zip(traced, ends, strict=True)
+                )
+                spots = position_px[..., None] + first[..., None] * disk.x + second[..., None] * disk.y
+                position_px = spots.reshape(2, -1)
                 weight = np.outer(weight, disk.weight).ravel()
-                wide = math.sqrt(float((first**2 + second**2).sum()) / (2.0 * len(lit)))
-                sigma = math.hypot(sigma, 1.5 * wide / math.sqrt(len(disk.x)))
-            x, y, radius, area = _moments(place, weight)
+                spread_px = math.sqrt(float((first**2 + second**2).sum()) / (2.0 * len(lit)))
+                sigma = math.hypot(sigma, 1.5 * spread_px / math.sqrt(len(disk.x)))
+            x, y, radius, area = _moments(position_px, weight)
             total = float(weight.sum())
             if total / area < self.light.least_e:
                 continue
-            on_image = self._draw(image, place, weight, sigma)
+            on_image = self._draw(image, position_px, weight, sigma)
             sharp = radius * self.camera.pixel_pitch_mm < math.sqrt(2.0) * SHARP_MM
-            found.append((*whose, *pair, x, y, radius, total, on_image, total / area, sharp))
-        return found
+            rows.append((*whose, *pair, x, y, radius, total, on_image, total / area, sharp))
+        return rows
 
-    def _draw(self, image: NDArray[np.float32], place: FloatArray, light: FloatArray, sigma: float) -> float:
+    def _draw(self, image: NDArray[np.float32], position_px: FloatArray, light: FloatArray, sigma: float) -> float:
         """Add light at places (2, m), each a Gaussian; electrons on the image.
 
         It is shared out over a grid of a part of the Gaussian, smoothed there, and interpolated.
         """
         step, room = max(1.0, sigma / SMOOTH), math.ceil(REACH * sigma) + 1
         span, part, hats, inside = [], [], [], np.ones(len(light), np.bool_)
-        for v, size in zip(place, image.shape[::-1], strict=True):
+        for v, size in zip(position_px, image.shape[::-1], strict=True):
             low, high = max(0, math.floor(v.min()) - room), min(size, math.ceil(v.max()) + room + 1)
             if low >= high:
                 return 0.0
@@ -244,10 +249,10 @@ class Ghosting:
             inside &= (part[-1] >= 0.0) & (part[-1] < len(node) - 1)
             hats.append(np.maximum(1.0 - np.abs(np.arange(low, high)[:, None] - node) / step, 0.0))
         grid = np.zeros((hats[1].shape[1], hats[0].shape[1]))
-        (column, right), (row, down) = ((v[inside].astype(np.int64), v[inside] % 1.0) for v in part)
-        for below, share in ((0, 1.0 - down), (1, down)):
-            for beside, portion in ((0, 1.0 - right), (1, right)):
-                np.add.at(grid, (row + below, column + beside), light[inside] * share * portion)
+        (column, part_right), (row, part_down) = ((v[inside].astype(np.int64), v[inside] % 1.0) for v in part)
+        for next_row, weight_down in ((0, 1.0 - part_down), (1, part_down)):
+            for next_column, weight_right in ((0, 1.0 - part_right), (1, part_right)):
+                np.add.at(grid, (row + next_row, column + next_column), light[inside] * weight_down * weight_right)
         width = math.sqrt(max(sigma**2 - step**2 / 12.0, 0.0)) / step  # the sharing widens it, too
         grid = gaussian_filter(grid, width, mode="constant", truncate=REACH)
         pixels = hats[1] @ grid @ hats[0].T / step**2
@@ -269,10 +274,10 @@ def _beside(rays: Rays, towards: FloatArray, radius_rad: float) -> Rays:
     return Rays.create(x_mm=x, y_mm=y, z_mm=z, direction=light, wavelength_nm=wave)
 
 
-def _moments(place: FloatArray, weight: FloatArray) -> tuple[float, float, float, float]:
+def _moments(position_px: FloatArray, weight: FloatArray) -> tuple[float, float, float, float]:
     """Centroid, radius of the even disk of the same RMS radius, and its area, no less than a pixel's."""
-    x, y = (float(v) for v in place @ weight / weight.sum())
-    square = float(weight @ ((place[0] - x) ** 2 + (place[1] - y) ** 2) / weight.sum())
+    x, y = (float(v) for v in position_px @ weight / weight.sum())
+    square = float(weight @ ((position_px[0] - x) ** 2 + (position_px[1] - y) ** 2) / weight.sum())
     return x, y, math.sqrt(2.0 * square), max(2.0 * math.pi * square, 1.0)
 
 

@@ -37,7 +37,7 @@ from render.tracing.motion.paths import NodeLight, StarPaths, at_rest, pick_time
 from render.tracing.pupil.outlines import ARMS, Arcs, Outlines, outline_series
 from render.tracing.pupil.planning import Group
 from render.tracing.pupil.points import OutlinePoints, PupilPoints, TablePoints
-from render.tracing.rays.kernel import PIXEL_REACH, StarKernel, gaussian_shares
+from render.tracing.rays.kernel import PIXEL_REACH, StarKernel, gaussian_weights
 from render.tracing.tracer import Tracer
 from render.tracing.waves.adjoint import WaveLanes, Window, summed_waves
 from render.tracing.waves.direct_sums import DirectSums, Probe
@@ -144,14 +144,14 @@ class AttachedTrace:
         rays = self.xp.rays(start, direction, wave, dr.width(star))
         if not to_stop:
             return trace_program(self.numbers.program, bundle.theta, rays, self.xp)
-        found: list[Rays] = []
+        at_stop: list[Rays] = []
 
-        def visit(number: int, there: Rays) -> None:
+        def visit(number: int, surface_rays: Rays) -> None:
             if number == self.numbers.stop:
-                found.append(there)
+                at_stop.append(surface_rays)
 
         trace_program(self.numbers.front, bundle.theta, rays, self.xp, visit)
-        return found[0]
+        return at_stop[0]
 
 
 def _picked(scene: AttachedTrace, plain: StarPaths) -> tuple[list[Any], list[Any]]:
@@ -267,10 +267,10 @@ def _through(
     """Points whose shares hold the transmission of their rays, or its root; it has no derivatives."""
 
     def passed(slot: Any, node: Any, point: Any) -> tuple[Any, Any, Any]:
-        px, py, share = sample(slot, node, point)
+        px, py, area = sample(slot, node, point)
         rays = dr.detach(px), dr.detach(py)
-        through = kernel.through(*rays, slot, node, wavelength_nm, part.astype(np.uint32))
-        return px, py, share if through is None else share * of(through)
+        transmission = kernel.ray_transmission(*rays, slot, node, wavelength_nm, part.astype(np.uint32))
+        return px, py, area if transmission is None else area * of(transmission)
 
     return passed
 
@@ -295,9 +295,9 @@ def _outline_points(
         for m in range(ARMS):
             factor = dr.gather(F, uploaded(F, matrix[:, :, m]), node * arms + arm)
             for p, by_time in enumerate(scene.factors):
-                seen = dr.gather(F, by_time, star * scene.times + node // colours)
+                time_factor = dr.gather(F, by_time, star * scene.times + node // colours)
                 at = ((slot * len(scene.factors) + p) * picked + j) * ARMS + m
-                radius = radius + seen * colour * factor * dr.gather(F, few, at)
+                radius = radius + time_factor * colour * factor * dr.gather(F, few, at)
     along = [uploaded(F, v) for v in (np.cos(points.azimuth), np.sin(points.azimuth))]
     weight = F(points.ring_weight)
     part_of_turn = float((points.area / points.radius**2).flat[0])  # the same for every azimuth
@@ -330,8 +330,8 @@ def _attached_chiefs(scene: AttachedTrace, chief: FloatArray, part: IntArray, wa
     with dr.suspend_grad():
         columns = []
         for dx, dy in ((AIM, 0.0), (0.0, AIM)):
-            ahead, back = at_stop(start[0] + dx, start[1] + dy), at_stop(start[0] - dx, start[1] - dy)
-            columns.append([(a - b) * (0.5 / AIM) for a, b in zip(ahead, back, strict=True)])
+            ahead, behind = at_stop(start[0] + dx, start[1] + dy), at_stop(start[0] - dx, start[1] - dy)
+            columns.append([(a - b) * (0.5 / AIM) for a, b in zip(ahead, behind, strict=True)])
         (a, c), (b, d) = columns
         scale = 1.0 / (a * d - b * c)
         dr.eval(a, b, c, d, scale)
@@ -386,19 +386,19 @@ def _splat(
     lane = dr.arange(U, total)
     point, node, slot = lane % count, lane // count % nodes, lane // (count * nodes)
     star, colour = dr.gather(U, U(part.astype(np.uint32)), slot // bands), slot % bands * colours + node % colours
-    seen = star * scene.times + node // colours
+    star_time = star * scene.times + node // colours
     wave = dr.gather(F, uploaded(F, wavelength_nm), colour)
     bundle = scene.bundle(total)
-    px, py, share = sample(slot, node, point)
-    rays = scene.trace(bundle, scene.light, seen, px, py, wave)
+    px, py, area = sample(slot, node, point)
+    rays = scene.trace(bundle, scene.light, star_time, px, py, wave)
     pitch, (cx, cy) = camera.pixel_pitch_mm, camera.centre_px
     x, y = float(cx) + rays.x * (1.0 / pitch), float(cy) - rays.y * (1.0 / pitch)
-    toward = dr.gather(F, scene.light[2], seen) * dr.gather(F, scene.weight, seen)
+    toward = dr.gather(F, scene.light[2], star_time) * dr.gather(F, scene.weight, star_time)
     area = np.pi * exposure_s * dr.square(bundle.disk[3])
     light = dr.gather(F, rate, star * (bands * colours) + colour) * dr.gather(F, response, colour)
-    light = light * toward * area * share
+    light = light * toward * area * area
     sigma = camera.blur_px
-    columns, rows = (gaussian_shares(scene.F, scene.I, v + 0.5, sigma, PIXEL_REACH) for v in (x, y))
+    columns, rows = (gaussian_weights(scene.F, scene.I, v + 0.5, sigma, PIXEL_REACH) for v in (x, y))
     sensitive = camera.sensitive_columns
     open_ = None if sensitive is None else scene.B(sensitive)
     for r, along_y in enumerate(rows[1]):
@@ -431,7 +431,7 @@ def _wave_image(
     near = waves.near(planner.sampled_by_rays(exposure).bounds)
     for probe in (p for group in planner.sampled_by_waves(images.still, near).groups for p in images.probes(group)):
         outlines = _smooth(replace(probe.group, members=probe.stars))
-        for part, radius, fields, order in _alike(images, probe):
+        for part, radius, fields, order in _batches(images, probe):
             points = probe.group.of(part, order)
             sample = _sample(scene, outlines, part, points, few.wavelength_nm)
             sample = _through(images.kernel, sample, part, few.wavelength_nm, dr.sqrt)
@@ -447,19 +447,19 @@ def _wave_image(
     return image
 
 
-def _alike(
+def _batches(
     images: DirectSums, probe: Probe
 ) -> list[tuple[IntArray, float, tuple[FieldSampling, ...], tuple[int, int]]]:
     """Stars of a probe with the same window and the same rays, not too many of them at a time."""
     radius, highest, order = images.needs(probe)
     keys = list(zip(radius.tolist(), map(tuple, highest.tolist()), map(tuple, order.max((1, 2)).tolist()), strict=True))
-    found = []
+    batches = []
     for key in sorted(set(keys)):
-        stars = probe.stars[[one == key for one in keys]]
+        stars = probe.stars[[other == key for other in keys]]
         step = max(1, WAVE_PASS_RAYS // (math.prod(key[2]) * images.wavelength_nm.size))
         for i in range(0, len(stars), step):
-            found.append((stars[i : i + step], key[0], tuple(map(images.sampling, key[1])), key[2]))
-    return found
+            batches.append((stars[i : i + step], key[0], tuple(map(images.sampling, key[1])), key[2]))
+    return batches
 
 
 def _windows(
@@ -510,10 +510,10 @@ def _motion(
     wave = dr.gather(F, F(wavelength_nm), slot % bands)
     px, py = (dr.gather(F, c, slot) for c in chief)
     bundle, pitch = scene.bundle(count), scene.camera.pixel_pitch_mm
-    there, here = (
+    moved, still = (
         scene.trace(bundle, light, which, px, py, wave) for light, which in ((scene.light, at), (scene.middle, star))
     )
-    return ((there.x - here.x) * (1.0 / pitch), (here.y - there.y) * (1.0 / pitch)), weight
+    return ((moved.x - still.x) * (1.0 / pitch), (still.y - moved.y) * (1.0 / pitch)), weight
 
 
 def _plane_waves(
@@ -530,7 +530,7 @@ def _plane_waves(
     total = len(part) * bands * colours * points.count
     members, waves = U(part.astype(np.uint32)), uploaded(F, wavelength_nm)
 
-    def numbered(lane: Any) -> tuple[Any, ...]:
+    def lane_indices(lane: Any) -> tuple[Any, ...]:
         """Slot, node and point of a lane; its star and wavelength."""
         point, node, slot = lane % points.count, lane // points.count % colours, lane // (points.count * colours)
         star = dr.gather(U, members, slot // bands)
@@ -538,7 +538,7 @@ def _plane_waves(
 
     # a ray and two beside it are lanes of one trace: three traces would be compiled one by one, with their derivatives
     every = dr.arange(U, 3 * total)
-    slot, node, point, star, wave = numbered(every // 3)
+    slot, node, point, star, wave = lane_indices(every // 3)
     px, py, _ = sample(slot, node, point)
     dx, dy = (F(dr.select(every % 3 == k, DIFFERENCE, 0.0)) for k in (1, 2))
     rays = scene.trace(scene.bundle(3 * total), scene.light, star, px + dx, py + dy, wave)
@@ -546,9 +546,9 @@ def _plane_waves(
     lane = dr.arange(U, total)
     x, y, opl_mm = (dr.gather(F, v, 3 * lane) for v in (rays.x, rays.y, rays.opl_mm))
     (ox, rx, ux), (oy, ry, uy) = ([dr.gather(F, v, 3 * lane + k) for k in range(3)] for v in (rays.dx, rays.dy))
-    slot, node, point, star, wave = numbered(lane)
+    slot, node, point, star, wave = lane_indices(lane)
     bundle = scene.bundle(total)
-    px, py, share = sample(slot, node, point)
+    px, py, area = sample(slot, node, point)
     pitch, (cx, cy) = scene.camera.pixel_pitch_mm, scene.camera.centre_px
     theta: Any = bundle.theta
     before, behind = (
@@ -559,11 +559,11 @@ def _plane_waves(
     jacobian = dr.abs((rx - ox) * (uy - oy) - (ux - ox) * (ry - oy)) * (1.0 / DIFFERENCE**2)
     dx, dy = (dr.gather(F, component, star) for component in scene.light[:2])
     path = opl_mm + before * bundle.disk[3] * (px * dx + py * dy)
-    middle = np.stack([one.mean_px for one in windows])
+    middle = np.stack([window.mean_px for window in windows])
     x = float(cx) + x * (1.0 / pitch) - dr.gather(F, uploaded(F, middle[:, 0]), slot)
     y = float(cy) - y * (1.0 / pitch) - dr.gather(F, uploaded(F, middle[:, 1]), slot)
     fx, fy = ox * per_px, -oy * per_px
-    return WaveLanes(path * (1e6 / wave) - fx * x - fy * y, fx, fy, share * dr.sqrt(jacobian) * per_px)
+    return WaveLanes(path * (1e6 / wave) - fx * x - fy * y, fx, fy, area * dr.sqrt(jacobian) * per_px)
 
 
 def _add(scene: AttachedTrace, image: Any, windows: list[Window], stamps: Any, bands: int) -> None:
@@ -571,7 +571,7 @@ def _add(scene: AttachedTrace, image: Any, windows: list[Window], stamps: Any, b
     F, integer, U, camera, size = scene.F, scene.I, scene.U, scene.camera, windows[0].stamp_px
     lane = dr.arange(U, len(windows) * size**2)
     slot = lane // size**2
-    corner = np.stack([one.corner_px + one.first_px + 0.5 for one in windows]).astype(np.int32)
+    corner = np.stack([window.corner_px + window.first_px + 0.5 for window in windows]).astype(np.int32)
     first = [dr.gather(integer, integer(np.ascontiguousarray(corner[:, axis])), slot) for axis in (0, 1)]
     column, row = first[0] + integer(lane % size), first[1] + integer(lane // size % size)
     inside = (row >= 0) & (row < camera.height_px) & (column >= 0) & (column < camera.width_px)

@@ -27,14 +27,14 @@ KNOTS = 4000
 
 def with_scattered(truth: Truth, tis: float) -> Truth:
     """Truth of stars that were rendered without the part of their light that is scattered, with all of it."""
-    whole = 1.0 / (1.0 - tis)
+    per_unscattered = 1.0 / (1.0 - tis)
     lost = {name: getattr(truth, f"electrons_{name}") for name in ("vignetted", "hidden", "absorbed")}
-    through = truth.electrons_in - sum(lost.values())
+    transmitted_e = truth.electrons_in - sum(lost.values())
     return replace(
         truth,
-        electrons_in=truth.electrons_in * whole,
-        electrons_scattered=through * (whole - 1.0),
-        **{f"electrons_{name}": value * whole for name, value in lost.items()},
+        electrons_in=truth.electrons_in * per_unscattered,
+        electrons_scattered=transmitted_e * (per_unscattered - 1.0),
+        **{f"electrons_{name}": value * per_unscattered for name, value in lost.items()},
     )
 
 
@@ -46,14 +46,14 @@ def add_halos(camera: Camera, law: ScatterLaw, truth: Truth, image: NDArray[np.f
     height, width = image.shape[:2]
     per_px = 1.0 / IdealLens.of(camera).focal_px
     radius = np.concatenate([[0.0], np.geomspace(0.1, np.hypot(height, width), KNOTS)])
-    share = law.bsdf(np.minimum(radius * per_px, 1.0)) * per_px**2 / law.tis
+    profile = law.bsdf(np.minimum(radius * per_px, 1.0)) * per_px**2 / law.tis
     part = (np.arange(PARTS) + 0.5) / PARTS - 0.5
-    for star, band in np.argwhere(truth.electrons_scattered * share[0] > ends_e).tolist():
+    for star, band in np.argwhere(truth.electrons_scattered * profile[0] > ends_e).tolist():
         light = float(truth.electrons_scattered[star, band])
         x, y = float(truth.photon_x_px[star, band]), float(truth.photon_y_px[star, band])
         if not np.isfinite(x + y):
             continue
-        reach = float(radius[np.flatnonzero(light * share > ends_e)[-1]])
+        reach = float(radius[np.flatnonzero(light * profile > ends_e)[-1]])
         (left, right), (top, bottom) = (
             (max(0, int(np.ceil(v - reach))), min(size, int(np.floor(v + reach)) + 1))
             for v, size in ((x, width), (y, height))
@@ -62,10 +62,10 @@ def add_halos(camera: Camera, law: ScatterLaw, truth: Truth, image: NDArray[np.f
             continue
         column, row = np.arange(left, right) - x, np.arange(top, bottom) - y
         distance = np.hypot(column, row[:, None])
-        values = np.interp(distance, radius, share)
+        values = np.interp(distance, radius, profile)
         for r, c in np.argwhere(distance < NEAR_PX).tolist():
             inside = np.hypot(column[c] + part, (row[r] + part)[:, None])
-            values[r, c] = np.interp(inside, radius, share).mean()
+            values[r, c] = np.interp(inside, radius, profile).mean()
         halo[top:bottom, left:right, band] += (light * values * (distance <= reach)).astype(np.float32)
     columns: FloatArray | NDArray[np.bool_] | None = camera.sensitive_columns
     if columns is not None:

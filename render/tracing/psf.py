@@ -66,8 +66,8 @@ def render_epsf(
     """
     _check_even("render_epsf", oversampling)
     cells = tracer.centred_cells(stars, half_size_px=half_size_px, cells_per_px=oversampling)
-    share = pixel_shares(cells, oversampling)
-    return [[EffectivePsf(values=psf, oversampling=oversampling) for psf in row] for row in share]
+    pixels = pixel_shares(cells, oversampling)
+    return [[EffectivePsf(values=psf, oversampling=oversampling) for psf in row] for row in pixels]
 
 
 def _check_even(what: str, oversampling: int) -> None:
@@ -97,17 +97,17 @@ def ray_epsf(
         raise DomainError("ray_epsf: no light; the star is outside the field of the lens")
     half = (2 * half_size_px + 1) * oversampling // 2
     lit = weight > 0.0
-    share = weight[lit] / total
+    fraction = weight[lit] / total
     x, y = x_px[lit], y_px[lit]
-    column = np.floor((x - share @ x) * oversampling).astype(np.int64) + half
-    row = np.floor((y - share @ y) * oversampling).astype(np.int64) + half
+    column = np.floor((x - fraction @ x) * oversampling).astype(np.int64) + half
+    row = np.floor((y - fraction @ y) * oversampling).astype(np.int64) + half
     size = 2 * half
     inside = (column >= 0) & (column < size) & (row >= 0) & (row < size)
-    counted = np.bincount(row[inside] * size + column[inside], share[inside], size * size)
+    counted = np.bincount(row[inside] * size + column[inside], fraction[inside], size * size)
     cells: FloatArray = np.asarray(counted, np.float64).reshape(size, size)
     sigma = diffusion_px * oversampling
     for axis, cell in enumerate((row, column) if sigma > 0.0 else ()):
-        off = float(share @ (cell - half + 0.5))
+        off = float(fraction @ (cell - half + 0.5))
         steps = np.arange(-math.ceil(5.0 * sigma) - 1, math.ceil(5.0 * sigma) + 2)
         kernel = np.exp(-0.5 * ((steps + off) / sigma) ** 2)
         cells = convolve1d(cells, kernel / kernel.sum(), axis=axis, mode="constant")
@@ -191,19 +191,19 @@ class MonochromaticImages:
     oversampling: int
     half_size_px: int
 
-    def psfs(self, share: FloatArray) -> tuple[EffectivePsf, ...]:
+    def psfs(self, spectrum: FloatArray) -> tuple[EffectivePsf, ...]:
         """PSFs (f) of light of which each wavelength (w,) has a share, centred on the mean of all of it."""
         reach = self.half_size_px * self.oversampling
-        place = np.arange(-reach, reach + 1) / self.oversampling
-        found = []
+        position_px = np.arange(-reach, reach + 1) / self.oversampling
+        psfs = []
         for light, mean, area in zip(self.light, self.mean_px, self.area_mm2, strict=True):
-            part = share * area / (share @ area)
-            values = np.zeros((len(place), len(place)))
-            for one, weight, offset in zip(light, part, mean - part @ mean, strict=True):
-                columns, rows = (self._pixel(place - along) for along in offset)
-                values += weight * (rows @ one @ columns.T)
-            found.append(EffectivePsf(values=values, oversampling=self.oversampling))
-        return tuple(found)
+            part = spectrum * area / (spectrum @ area)
+            values = np.zeros((len(position_px), len(position_px)))
+            for image, weight, offset in zip(light, part, mean - part @ mean, strict=True):
+                columns, rows = (self._pixel(position_px - along) for along in offset)
+                values += weight * (rows @ image @ columns.T)
+            psfs.append(EffectivePsf(values=values, oversampling=self.oversampling))
+        return tuple(psfs)
 
     def _pixel(self, place_px: FloatArray) -> NDArray[np.float32]:
         """Weights (p, n) of the samples in the light of pixels at places."""
@@ -236,14 +236,14 @@ def wave_images(
     mean_px = np.stack(rays.mean_mm, axis=-1) / pitch_mm
     if np.isnan(mean_px).any():
         raise DomainError(f"field {field_x_deg[np.argwhere(np.isnan(mean_px))[0][0]]:g} deg: no light arrives")
-    apart = float(np.abs(mean_px - mean_px.mean(1, keepdims=True)).max()) * 2.0
-    half_px = half_size_px + 0.5 + 5.5 * diffusion_px + apart
+    separation_px = float(np.abs(mean_px - mean_px.mean(1, keepdims=True)).max()) * 2.0
+    half_px = half_size_px + 0.5 + 5.5 * diffusion_px + separation_px
     highest = 2.0 * float((np.hypot(rays.l, rays.m) * (rays.index / rays.wavelength_nm)[:, None, None]).max()) * 1e6
     highest *= pitch_mm
-    seen = HIGHEST_PER_PX
+    resolved = HIGHEST_PER_PX
     if diffusion_px > 0.0:
-        seen = min(seen, math.sqrt(-math.log(PIXEL_SHARE) / 2.0) / (math.pi * diffusion_px))
-    per_px = math.ceil(highest + min(highest, seen))
+        resolved = min(resolved, math.sqrt(-math.log(PIXEL_SHARE) / 2.0) / (math.pi * diffusion_px))
+    per_px = math.ceil(highest + min(highest, resolved))
     count = math.ceil(2.0 * half_px * per_px)
     offset = (np.arange(count) - 0.5 * (count - 1)) / per_px
     clear = bool(np.all(rays.area_mm2 > 0.0))

@@ -190,16 +190,17 @@ class Tracer:
             means, clear = self._means(
                 exposure.mid, light, every, whole_disk((rings, arms), light.wavelength_nm.shape[1])
             )
-            left = every[~clear]
+            remaining = every[~clear]
         else:
-            left = np.arange(len(means))
-            for group in self.planner.sampled(exposure, left).groups:
+            remaining = np.arange(len(means))
+            for group in self.planner.sampled(exposure, remaining).groups:
                 order = (rings, arms) if group.mode == "quadrature" else (rings, max(arms, ARC_LADDER[0][1]))
                 members = group.members
                 means[members], _ = self._means(exposure.mid, light, members, group.of(members, order))
-                left = np.setdiff1d(left, members)
-        if len(left):  # beams that the kernel finds no outline of
-            means[left] = self._beam_means(paths.mid[left], light.wavelength_nm, light.weight[left], (rings, arms))
+                remaining = np.setdiff1d(remaining, members)
+        if len(remaining):  # beams that the kernel finds no outline of
+            directions, weight = paths.mid[remaining], light.weight[remaining]
+            means[remaining] = self._beam_means(directions, light.wavelength_nm, weight, (rings, arms))
         return means
 
     @staticmethod
@@ -215,16 +216,16 @@ class Tracer:
         return mean, np.asarray(ok.all((1, 2, 3)))
 
     def _beam_means(
-        self, direction: FloatArray, wavelength_nm: FloatArray, share: FloatArray, order: tuple[int, int]
+        self, direction: FloatArray, wavelength_nm: FloatArray, weight: FloatArray, order: tuple[int, int]
     ) -> FloatArray:
         """The same (s, b, 2) on NumPy, where apertures cut the beam; NaN where no ray arrives."""
         try:
             waves = wavelength_nm.ravel()
             spots = spot_moments(self.camera.focused_lens, *field_angles_deg(direction), waves, order=order)
         except ConvergenceError:
-            return np.full((*share.shape[:2], 2), np.nan)
-        x, y, area = (v.reshape(share.shape) for v in (spots.x_mm, spots.y_mm, spots.transmitted_mm2))
-        return np.stack(self.camera.to_pixel(*(weighted_mean(v, share * area) for v in (x, y))), axis=-1)
+            return np.full((*weight.shape[:2], 2), np.nan)
+        x, y, area = (v.reshape(weight.shape) for v in (spots.x_mm, spots.y_mm, spots.transmitted_mm2))
+        return np.stack(self.camera.to_pixel(*(weighted_mean(v, weight * area) for v in (x, y))), axis=-1)
 
     def centred_cells(self, stars: StarField, *, half_size_px: int, cells_per_px: int) -> FloatArray:
         """Light of every star and band on a fine grid around its bundle mean: share of the collected light per cell.
@@ -266,9 +267,9 @@ class Tracer:
         chiefs = self.planner.chiefs(self.planner.kernel(np.concatenate(ends)), wavelength_nm)
         x, y = (v.mean(1).reshape(3, count) for v in (chiefs.x_px, chiefs.y_px))
         ideal = IdealLens.of(self.camera).px(picked[:, -1]) - IdealLens.of(self.camera).px(picked[:, 0])
-        ideal_way, way = ideal @ np.array([1.0, 1j]), (x[2] - x[1]) + 1j * (y[2] - y[1])
-        moves = np.abs(ideal_way) > SHORTEST_PX
-        return y[0], np.where(moves, way / np.where(moves, ideal_way, 1.0), 1.0)
+        ideal_chord, chord = ideal @ np.array([1.0, 1j]), (x[2] - x[1]) + 1j * (y[2] - y[1])
+        moves = np.abs(ideal_chord) > SHORTEST_PX
+        return y[0], np.where(moves, chord / np.where(moves, ideal_chord, 1.0), 1.0)
 
     def light(self, stars: StarField, paths: StarPaths, exposure_s: float) -> NodeLight:
         """Light of stars, distributed over the nodes of an exposure."""
@@ -277,8 +278,8 @@ class Tracer:
         per_node = (rate * (self.pupil.area_mm2 * exposure_s))[:, :, None] * received
         per_node = per_node.reshape(*rate.shape[:2], paths.nodes.shape[1] * rate.shape[2])
         electrons = per_node.sum(2)
-        share = np.where(electrons[..., None] > 0, per_node, 1.0)
-        return NodeLight(stars.wavelength_nm, share / share.sum(2, keepdims=True), electrons)
+        weight = np.where(electrons[..., None] > 0, per_node, 1.0)
+        return NodeLight(stars.wavelength_nm, weight / weight.sum(2, keepdims=True), electrons)
 
 
 def _check_in_front(direction: FloatArray, times: int = 1) -> None:

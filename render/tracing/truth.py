@@ -28,28 +28,28 @@ def add_stamps(
     size = pixels.shape[-1]
     low, high = np.maximum(first, 0), np.minimum(first + size, [width, height])
     scaled = pixels * np.asarray(electrons, pixels.dtype)[..., None, None]
-    whole = (high - low == size).all(2) & (sensitive is None)
-    kept = np.where(whole, pixels.sum((2, 3), dtype=np.float64), 0.0)
+    inside = (high - low == size).all(2) & (sensitive is None)
+    on_image = np.where(inside, pixels.sum((2, 3), dtype=np.float64), 0.0)
     for s, b in np.argwhere((low < high).all(2)).tolist():
         (x0, y0), (x1, y1), (column, row) = low[s, b].tolist(), high[s, b].tolist(), first[s, b].tolist()
         part = np.s_[s, b, y0 - row : y1 - row, x0 - column : x1 - column]
         light = scaled[part]
-        if not whole[s, b]:
+        if not inside[s, b]:
             lit = np.ones(x1 - x0) if sensitive is None else sensitive[x0:x1]
-            kept[s, b] = (pixels[part] * lit).sum(dtype=np.float64)
+            on_image[s, b] = (pixels[part] * lit).sum(dtype=np.float64)
             light = light * lit
         image[y0:y1, x0:x1, b] += light.astype(image.dtype)
-    return kept
+    return on_image
 
 
 Sampling = dict[str, tuple[int, int]]
 """How pupils were sampled: mode -> (stars, rays per star and band)."""
 
 
-def check_lit(place: FloatArray) -> None:
-    """Refuse stars none of whose light arrives, which have no place (n, b, 2)."""
-    if np.isnan(place).any():
-        raise DomainError(f"star {np.argwhere(np.isnan(place))[0][0]}: none of its light reaches the detector")
+def check_lit(position_px: FloatArray) -> None:
+    """Refuse stars none of whose light arrives: their positions (n, b, 2) are NaN."""
+    if np.isnan(position_px).any():
+        raise DomainError(f"star {np.argwhere(np.isnan(position_px))[0][0]}: none of its light reaches the detector")
 
 
 @dataclass(frozen=True, slots=True)

@@ -59,14 +59,14 @@ class MeasuredPlanner(PupilPlanner):
     def __init__(self, camera: Camera, sobol_seed: int) -> None:
         assert camera.lens.measured is not None
         self.lens: MeasuredLens = camera.lens.measured
-        self.whole = camera
+        self.measured_camera = camera
         ideal = replace(camera, lens=replace(camera.lens, measured=None), defocus_mm=0.0)
         super().__init__(ideal, sobol_log2_rays=SHADE_LOG2_RAYS, sobol_seed=sobol_seed, tolerance=1.0, general=False)
 
     def position_px(self, direction: FloatArray, wavelength_nm: FloatArray) -> FloatArray:
         """Columns and rows (..., 2) of stars, broadcast; NaN where they have none."""
         position = self.lens.position_mm(direction, wavelength_nm)
-        return np.asarray(self.whole.centre_px + position / self.whole.pixel_pitch_mm)
+        return np.asarray(self.measured_camera.centre_px + position / self.measured_camera.pixel_pitch_mm)
 
     def chiefs(self, kernel: StarKernel, wavelength_nm: FloatArray) -> Chiefs:
         """Places of the stars of a kernel at the mean of each band's nodes (b, k)."""
@@ -84,7 +84,7 @@ class MeasuredImages:
     """Makes images of the stars of one camera (`render.tracing.tracer.ImageMaker`)."""
 
     def __init__(self, planner: MeasuredPlanner) -> None:
-        self.planner, self.camera = planner, planner.whole
+        self.planner, self.camera = planner, planner.measured_camera
         variance_mm2 = float(planner.lens.psf.covariance_mm2[..., :2].max())
         self._widest_px = float(np.hypot(np.sqrt(variance_mm2) / self.camera.pixel_pitch_mm, self.camera.blur_px))
 
@@ -105,23 +105,23 @@ class MeasuredImages:
             near = np.any(np.all((high > -0.5) & (low < size - 0.5), axis=-1), axis=1)
             if not (near.any() and image.size):
                 continue
-            there, corner, width = stars[near], *self._stamp(low[near], high[near], stars[near])
-            seen = 1.0 - hidden[there]
-            pixels = nodes.take(near).on_pixels(corner, width) * seen[..., None, None]
-            on_image = add_stamps(image, pixels, corner, electrons[there], self.camera.sensitive_columns)
+            near_stars, corner, width = stars[near], *self._stamp(low[near], high[near], stars[near])
+            visible = 1.0 - hidden[near_stars]
+            pixels = nodes.take(near).on_pixels(corner, width) * visible[..., None, None]
+            on_image = add_stamps(image, pixels, corner, electrons[near_stars], self.camera.sensitive_columns)
             landed = pixels.sum((2, 3))
-            sums.image[there] = on_image * electrons[there]
-            sums.off_edge[there] = (landed - on_image) * electrons[there]
-            sums.beyond[there] = (seen - landed) * electrons[there]
-            gaussians = max(gaussians, nodes.share.shape[2])
+            sums.image[near_stars] = on_image * electrons[near_stars]
+            sums.off_edge[near_stars] = (landed - on_image) * electrons[near_stars]
+            sums.beyond[near_stars] = (visible - landed) * electrons[near_stars]
+            gaussians = max(gaussians, nodes.weight.shape[2])
         return {"measured": (len(lit), gaussians)} if len(lit) else {}
 
     def means(self, light: NodeLight, exposure: PlannedExposure) -> FloatArray:
         """Centroids (n, b, 2) [px]; NaN where no light arrives."""
-        found = np.full((*light.electrons.shape, 2), np.nan)
+        means = np.full((*light.electrons.shape, 2), np.nan)
         for stars in self._passes(light, exposure, self._lit(exposure)):
-            found[stars] = self._nodes(light, exposure, stars).mean_px()
-        return found
+            means[stars] = self._nodes(light, exposure, stars).mean_px()
+        return means
 
     def cells(self, light: NodeLight, exposure: PlannedExposure, half_size_px: int, cells_per_px: int) -> FloatArray:
         """Light per cell (n, b, m, m) of squares about the centroids, in shares of what arrives."""
@@ -129,10 +129,10 @@ class MeasuredImages:
         centre = self.means(light, exposure)
         check_lit(centre)
         corner, side = centre - 0.5 * stamp_px, stamp_px * cells_per_px
-        found = np.empty((*light.electrons.shape, side, side))
-        for stars in self._passes(light, exposure, np.arange(len(found)), side):
-            found[stars] = self._nodes(light, exposure, stars).on_pixels(corner[stars], side, cells_per_px)
-        return found
+        cells = np.empty((*light.electrons.shape, side, side))
+        for stars in self._passes(light, exposure, np.arange(len(cells)), side):
+            cells[stars] = self._nodes(light, exposure, stars).on_pixels(corner[stars], side, cells_per_px)
+        return cells
 
     def _lit(self, exposure: PlannedExposure) -> IntArray:
         """Stars that have a position all the time."""
@@ -146,9 +146,9 @@ class MeasuredImages:
             return hidden
         points = SobolPoints(SHADE_LOG2_RAYS, self.planner.sobol_seed)
         for star in np.flatnonzero(exposure.shaded):
-            one = np.array([star])
-            disk = DiskPoints(points, *self.planner.disks(exposure, exposure.wavelength_nm[:1], one))
-            hidden[star] = exposure.mid.hidden_share(exposure.shade, disk, one.astype(np.uint32))
+            single = np.array([star])
+            disk = DiskPoints(points, *self.planner.disks(exposure, exposure.wavelength_nm[:1], single))
+            hidden[star] = exposure.mid.hidden_fraction(exposure.shade, disk, single.astype(np.uint32))
         return hidden
 
     def _passes(
@@ -185,8 +185,8 @@ class MeasuredImages:
             self.camera.lens.check_surfaces()
         position = self.planner.position_px(paths.nodes[stars][:, None, :, None], waves[:, None])  # (s, b, t, k, 2)
         shear = None if paths.shear is None else paths.shear[stars][:, None, :, None, None]
-        share = light.weight[stars].reshape(position.shape[:-1])
-        return _gaussians(self.camera, self.planner.lens, position, waves[:, None], share, shear)
+        weight = light.weight[stars].reshape(position.shape[:-1])
+        return _gaussians(self.camera, self.planner.lens, position, waves[:, None], weight, shear)
 
 
 def _gaussians(
@@ -194,7 +194,7 @@ def _gaussians(
     lens: MeasuredLens,
     position_px: FloatArray,
     wavelength_nm: FloatArray,
-    share: FloatArray,
+    weight: FloatArray,
     shear: FloatArray | None = None,
 ) -> _Gaussians:
     """Gaussians of light at places (s, b, t, k, 2) with their shares (s, b, t, k)."""
@@ -205,8 +205,8 @@ def _gaussians(
     if shear is not None:
         mean, covariance = recorded_gaussians(mean, covariance, shear)
     covariance = covariance + camera.blur_px**2 * np.array([1.0, 1.0, 0.0])
-    flat = (*share.shape[:2], -1)
-    return _Gaussians((share[..., None] * part).reshape(flat), mean.reshape(*flat, 2), covariance.reshape(*flat, 3))
+    flat = (*weight.shape[:2], -1)
+    return _Gaussians((weight[..., None] * part).reshape(flat), mean.reshape(*flat, 2), covariance.reshape(*flat, 3))
 
 
 def pixel_shares(cells: FloatArray, cells_per_px: int) -> FloatArray:
@@ -223,7 +223,7 @@ def measured_psfs(
     camera: Camera,
     direction: FloatArray,
     wavelength_nm: FloatArray,
-    share: FloatArray,
+    weight: FloatArray,
     *,
     oversampling: int = 8,
     half_size_px: int = 7,
@@ -232,33 +232,33 @@ def measured_psfs(
     lens = camera.lens.measured
     assert lens is not None
     position = camera.centre_px + lens.position_mm(direction[:, None], wavelength_nm) / camera.pixel_pitch_mm
-    shares = np.broadcast_to(share, position.shape[:2])[:, None, None]
-    made = _gaussians(camera, lens, position[:, None, None], wavelength_nm, shares)
+    weights = np.broadcast_to(weight, position.shape[:2])[:, None, None]
+    gaussians = _gaussians(camera, lens, position[:, None, None], wavelength_nm, weights)
     side = 2 * half_size_px + 1
-    cells = made.on_pixels(made.mean_px() - 0.5 * side, side * oversampling, oversampling)
-    return tuple(EffectivePsf(values=one, oversampling=oversampling) for one in pixel_shares(cells[:, 0], oversampling))
+    cells = gaussians.on_pixels(gaussians.mean_px() - 0.5 * side, side * oversampling, oversampling)
+    return tuple(EffectivePsf(values=psf, oversampling=oversampling) for psf in pixel_shares(cells[:, 0], oversampling))
 
 
 @dataclass(frozen=True, slots=True)
 class _Gaussians:
     """Light of s stars in b bands as g Gaussians each."""
 
-    share: FloatArray  # (s, b, g)
+    weight: FloatArray  # (s, b, g)
     centre_px: FloatArray  # (s, b, g, 2)
     covariance_px2: FloatArray  # (s, b, g, 3) Along columns, along rows, and between them
 
     def take(self, stars: NDArray[np.bool_]) -> _Gaussians:
         """Some of the stars."""
-        return _Gaussians(self.share[stars], self.centre_px[stars], self.covariance_px2[stars])
+        return _Gaussians(self.weight[stars], self.centre_px[stars], self.covariance_px2[stars])
 
     def mean_px(self) -> FloatArray:
         """Centroids (s, b, 2)."""
-        return np.asarray((self.share[..., None] * self.centre_px).sum(2))
+        return np.asarray((self.weight[..., None] * self.centre_px).sum(2))
 
     def variance_px2(self) -> FloatArray:
         """Variances along columns and rows (s, b, 2)."""
         away = self.centre_px - self.mean_px()[:, :, None]
-        return np.asarray((self.share[..., None] * (self.covariance_px2[..., :2] + away**2)).sum(2))
+        return np.asarray((self.weight[..., None] * (self.covariance_px2[..., :2] + away**2)).sum(2))
 
     def box_px(self) -> tuple[FloatArray, FloatArray]:
         """Lowest and highest places (s, b, 2) that light reaches."""
@@ -267,15 +267,15 @@ class _Gaussians:
 
     def on_pixels(self, corner_px: FloatArray, side: int, cells_per_px: int = 1) -> FloatArray:
         """Light (s, b, side, side) of the cells of squares from their outer corners (s, b, 2) on."""
-        share, centre, sigma = self._upright()
+        weight, centre, sigma = self._upright()
         edges = np.arange(side + 1) / cells_per_px
         scale = 1.0 / (np.sqrt(2.0) * sigma)[..., None]
         up_to = erf((edges + (corner_px[:, :, None] - centre)[..., None]) * scale)
         x, y = np.moveaxis(0.5 * np.diff(up_to, axis=-1), -2, 0)
-        return np.asarray(np.swapaxes(y * share[..., None], -1, -2) @ x)
+        return np.asarray(np.swapaxes(y * weight[..., None], -1, -2) @ x)
 
     def _upright(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Shares (s, b, g), centres and standard deviations (s, b, g, 2) of upright Gaussians that stand for these."""
+        """Weights (s, b, g), centres and standard deviations (s, b, g, 2) of upright Gaussians that stand for these."""
         variance, between = self.covariance_px2[..., :2], self.covariance_px2[..., 2]
         correlation = between / np.sqrt(variance.prod(-1))
         steepest = np.abs(correlation).max((0, 1), initial=0.0)
@@ -283,19 +283,19 @@ class _Gaussians:
         parts = []
         for step in np.unique(steps):  # each Gaussian with as many nodes as it needs
             some = np.flatnonzero(steps == step)
-            position, weight = line_nodes(int(step))
+            node, node_weight = line_nodes(int(step))
             rho = correlation[:, :, some, None]
             along = np.sqrt(np.abs(rho) * variance[:, :, some])
             along[..., 1] *= np.sign(rho[..., 0])
-            centre = self.centre_px[:, :, some, None] + position[:, None] * along[..., None, :]
+            centre = self.centre_px[:, :, some, None] + node[:, None] * along[..., None, :]
             sigma = np.sqrt(variance[:, :, some] * (1.0 - np.abs(rho)))[..., None, :]
-            parts.append((self.share[:, :, some, None] * weight, centre, np.broadcast_to(sigma, centre.shape)))
-        flat = (*self.share.shape[:2], -1)
-        share, centre, sigma = (
+            parts.append((self.weight[:, :, some, None] * node_weight, centre, np.broadcast_to(sigma, centre.shape)))
+        flat = (*self.weight.shape[:2], -1)
+        weight, centre, sigma = (
             np.concatenate([part.reshape(*flat, *part.shape[4:]) for part in kind], axis=2)
             for kind in zip(*parts, strict=True)
         )
-        return share, centre, sigma
+        return weight, centre, sigma
 
 
 @cache
@@ -310,13 +310,13 @@ def line_nodes(correlation: int) -> tuple[FloatArray, FloatArray]:
     rho = min(correlation / CORRELATIONS, MOST_CORRELATED)
     variance = 2.0 * rho / (1.0 - rho)
     at = np.linspace(0.0, 5.0 * math.sqrt(1.0 + variance), 801)
-    wanted = np.exp(-0.5 * at**2 / (1.0 + variance)) / math.sqrt(1.0 + variance)
+    gaussian = np.exp(-0.5 * at**2 / (1.0 + variance)) / math.sqrt(1.0 + variance)
     count = 1
     while count < MOST_LINE_NODES:
         count = math.ceil(1.1 * count + 0.5)
         node, weight = np.polynomial.hermite_e.hermegauss(count)
         weight = weight / weight.sum()
-        made = np.exp(-0.5 * (at[:, None] - math.sqrt(variance) * node) ** 2) @ weight
-        if np.abs(made - wanted).max() < LINE_ERROR * wanted[0]:
+        sum_of_nodes = np.exp(-0.5 * (at[:, None] - math.sqrt(variance) * node) ** 2) @ weight
+        if np.abs(sum_of_nodes - gaussian).max() < LINE_ERROR * gaussian[0]:
             break
     return node, weight

@@ -152,14 +152,14 @@ def _converged_count(
     frequency = damped_frequencies(diffusion_px, tolerance)
     if frequency is None:
         frequency, diffusion_px = frequencies_up_to(HIGHEST_FREQUENCY), 0.0
-    left = transfer(frequency, diffusion_px)
+    transfer_function = transfer(frequency, diffusion_px)
     coarse = path_px(np.linspace(0.0, 1.0, 9))
     length = float(np.linalg.norm(np.diff(coarse, axis=1), axis=2).sum(1).max())
 
     def spectrum(count: int) -> FloatArray:
         nodes, weight = gauss_times(count)
         points = path_px(nodes)
-        phase = np.exp(2j * np.pi * (points @ frequency.T)) * left
+        phase = np.exp(2j * np.pi * (points @ frequency.T)) * transfer_function
         values = np.einsum("t,ntf->nf", weight, phase)
         return np.concatenate([values.real, values.imag, np.einsum("t,ntx->nx", weight, points)], axis=1)
 
@@ -180,10 +180,10 @@ def _converged_count(
 
 def _spline(trajectory: Trajectory, mid: Rotation, focal_px: float, start_s: float, end_s: float) -> CubicSpline:
     """Rotation vectors from the middle attitude against time, with as many knots as `PATH_ERROR_PX` needs."""
-    back, count = mid.inv(), 9
+    inverse, count = mid.inv(), 9
 
     def turned(times: FloatArray) -> FloatArray:
-        return np.asarray((trajectory.attitude(times) * back).as_rotvec())
+        return np.asarray((trajectory.attitude(times) * inverse).as_rotvec())
 
     while count <= MOST_KNOTS:
         times = np.linspace(start_s, end_s, count)

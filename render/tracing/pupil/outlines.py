@@ -97,14 +97,14 @@ def node_picks(kernel: StarKernel, wavelength_nm: FloatArray, times: FloatArray 
         for other in picks[picks != pick]:
             factors[..., j] *= (t - t[:, [other]]) / (t[:, [pick]] - t[:, [other]])
     every = times is None and len(picks) == nodes
-    one = np.ones((kernel.count, 1, 1)) if times is None else times
-    return NodePicks(kernel, np.ascontiguousarray(wavelength_nm[:, picks]), factors, one, every)
+    ones = np.ones((kernel.count, 1, 1)) if times is None else times
+    return NodePicks(kernel, np.ascontiguousarray(wavelength_nm[:, picks]), factors, ones, every)
 
 
 def every_node(kernel: StarKernel, wavelength_nm: FloatArray) -> NodePicks:
     """All wavelengths (b, k) of a camera at rest."""
-    one = np.ones((kernel.count, 1, 1))
-    return NodePicks(kernel, wavelength_nm, np.ones((*wavelength_nm.shape, 1)), one, every=True)
+    ones = np.ones((kernel.count, 1, 1))
+    return NodePicks(kernel, wavelength_nm, np.ones((*wavelength_nm.shape, 1)), ones, every=True)
 
 
 def node_turns(colours: int, times: int = 1) -> FloatArray:
@@ -203,8 +203,8 @@ def find_outlines(lens: AimedLens, picks: NodePicks, chiefs: Chiefs) -> Outlines
     rims = beams.stop_rims()
     clear, shadow = aimed & _only_the_stop(rims), None
     if lens.holes:
-        shadow, found = beams.shadow()
-        clear = clear & found.all((1, 2, 3)) & _smooth(shadow) & (shadow < rims.radius).all((1, 2, 3))
+        shadow, has_shadow = beams.shadow()
+        clear = clear & has_shadow.all((1, 2, 3)) & _smooth(shadow) & (shadow < rims.radius).all((1, 2, 3))
     return Outlines(
         lens=lens, picks=picks, chief=centre, radius=rims.radius, clear=clear, cut=aimed & ~clear, shadow=shadow
     )
@@ -254,26 +254,26 @@ class Arcs:
         """Quadrature points of a number of rings and azimuths for some of the stars."""
         at = np.searchsorted(self.stars, stars)
         picks = self.picks
-        azimuth, share = _rule(self.start[at], self.length[at], order[1], alike=not picks.every)
+        azimuth, weight = _rule(self.start[at], self.length[at], order[1], alike=not picks.every)
         beams = OutlineSearch(self.lens, picks.kernel, self.centre[at], picks.wavelength_nm, azimuth, stars)
         rims = beams.rims()
-        found = np.where(rims.good, rims.radius, np.nan)  # its rays are lost, and with them the star is found out
+        rim = np.where(rims.good, rims.radius, np.nan)  # rays are lost, and the star goes to other points
         shadow = None
         if self.lens.holes:
             dark, clear = beams.shadow()
-            found = np.where(clear & (dark < found), found, np.nan)
+            rim = np.where(clear & (dark < rim), rim, np.nan)
             shadow = picks.spread(dark, stars)
-        azimuth, radius, share = (picks.spread(v, stars) for v in (azimuth, found, share))
-        ring, weight = rings(order[0])
+        azimuth, radius, weight = (picks.spread(v, stars) for v in (azimuth, rim, weight))
+        ring, ring_weight = rings(order[0])
         lit = radius**2 if shadow is None else radius**2 - shadow**2
         return OutlinePoints(
             centre=self.centre[at],
             azimuth=azimuth,
             radius=radius,
-            area=np.nan_to_num(lit) * share,
+            area=np.nan_to_num(lit) * weight,
             arm=np.tile(np.arange(order[1], dtype=np.uint32), order[0]),
             ring=np.repeat(ring, order[1]),
-            ring_weight=np.repeat(weight, order[1]),
+            ring_weight=np.repeat(ring_weight, order[1]),
             shadow=shadow,
         )
 
@@ -325,11 +325,11 @@ def _rule(start: FloatArray, length: FloatArray, arms: int, alike: bool) -> tupl
     nodes, weights = _gauss_tables(count)
     size, first, span = (np.take_along_axis(v, arc, -1) for v in (count, start, length))
     azimuth = first + span * nodes[size, inside]
-    share = span / (2.0 * np.pi) * weights[size, inside]
+    weight = span / (2.0 * np.pi) * weights[size, inside]
     smooth = real.sum(-1) == 1  # no kink: equidistant azimuths
     turn = 0.0 if alike else GOLDEN * np.arange(start.shape[2])[:, None] % 1.0
     even = np.broadcast_to(2.0 * np.pi / arms * (number + turn), azimuth.shape)
-    return np.where(smooth[..., None], even, azimuth), np.where(smooth[..., None], 1.0 / arms, share)
+    return np.where(smooth[..., None], even, azimuth), np.where(smooth[..., None], 1.0 / arms, weight)
 
 
 @dataclass(frozen=True, slots=True)
@@ -361,14 +361,14 @@ class _Kinks:
 
     def narrowed(self, azimuth: FloatArray, height: FloatArray) -> _Kinks:
         """With the heights (a, ...) of rays at an azimuth of every kink."""
-        here = _height_of(height, self.after) - _height_of(height, self.before)
-        left, right = self.used & (here < 0.0), self.used & (here > 0.0)
+        difference = _height_of(height, self.after) - _height_of(height, self.before)
+        before_kink, after_kink = self.used & (difference < 0.0), self.used & (difference > 0.0)
         return replace(
             self,
-            low=np.where(left, azimuth, self.low),
-            at_low=np.where(left, here, self.at_low),
-            high=np.where(right, azimuth, self.high),
-            at_high=np.where(right, here, self.at_high),
+            low=np.where(before_kink, azimuth, self.low),
+            at_low=np.where(before_kink, difference, self.at_low),
+            high=np.where(after_kink, azimuth, self.high),
+            at_high=np.where(after_kink, difference, self.at_high),
         )
 
 
@@ -419,8 +419,8 @@ def find_arcs(lens: AimedLens, picks: NodePicks, centre: FloatArray, stars: IntA
     kinks, good = _coarse_kinks(rims.height)
     for _ in range(NARROWINGS):
         narrower = kinks.azimuth()
-        again = OutlineSearch(lens, picks.kernel, centre[stars], picks.wavelength_nm, narrower, stars).rims()
-        kinks = kinks.narrowed(narrower, again.height)
+        refined = OutlineSearch(lens, picks.kernel, centre[stars], picks.wavelength_nm, narrower, stars).rims()
+        kinks = kinks.narrowed(narrower, refined.height)
     start, length = _between(kinks)
     if not picks.every:
         good = good & kinks.alike()

@@ -296,7 +296,7 @@ class PupilPlanner:
         pupil, step = SobolPoints(SHADE_LOG2_RAYS, self.sobol_seed), SHADE_RAYS >> SHADE_LOG2_RAYS
         for part in (near[i : i + step] for i in range(0, len(near), step)):
             disks = DiskPoints(pupil, *self.disks(exposure, exposure.wavelength_nm[:1], part))
-            shaded[part] = exposure.mid.hidden_share(shade, disks, part.astype(np.uint32)) > 0.0
+            shaded[part] = exposure.mid.hidden_fraction(shade, disks, part.astype(np.uint32)) > 0.0
         return shaded
 
     def chiefs(self, kernel: StarKernel, wavelength_nm: FloatArray) -> Chiefs:
@@ -317,25 +317,25 @@ class PupilPlanner:
         groups: list[Group] = []
         if self.pupil.exact:
             outlines, centre = None, exposure.chiefs.points
-            left = np.arange(exposure.mid.count) if cut is None else cut
+            remaining = np.arange(exposure.mid.count) if cut is None else cut
         else:
             outlines = find_outlines(self._aim, exposure.picks, exposure.chiefs)
-            centre, left = outlines.chief, np.flatnonzero(~outlines.clear)
+            centre, remaining = outlines.chief, np.flatnonzero(~outlines.clear)
             if outlines.clear.any():
                 clear = np.flatnonzero(outlines.clear)
                 groups.append(Group("quadrature", clear, outlines.points, outlines, outlines.turns))
         picks = exposure.picks
-        for again in (False,) if self._aim.holes else (False, True):
-            if again:  # about a point inside the beam where that is not the chief ray's, and at every wavelength
-                if not len(left) or exposure.nodes is not exposure.mid:
+        for from_inside in (False,) if self._aim.holes else (False, True):
+            if from_inside:  # about another point of the beam than the chief ray's, and at every wavelength
+                if not len(remaining) or exposure.nodes is not exposure.mid:
                     break
-                centre, lit = self._inside(exposure, left)
-                picks, left = every_node(exposure.mid, exposure.wavelength_nm), left[lit]
-            if len(left):
-                arcs = find_arcs(self._aim, picks, centre, left)
+                centre, lit = self._inside(exposure, remaining)
+                picks, remaining = every_node(exposure.mid, exposure.wavelength_nm), remaining[lit]
+            if len(remaining):
+                arcs = find_arcs(self._aim, picks, centre, remaining)
                 if len(arcs.stars):
                     groups.append(Group("arcs", arcs.stars, arcs.points, arcs))
-                left = np.setdiff1d(left, arcs.stars)
+                remaining = np.setdiff1d(remaining, arcs.stars)
         return groups, outlines
 
     def sampled(self, exposure: PlannedExposure, stars: IntArray, *, shapes: bool = True) -> Sampled:
@@ -354,8 +354,8 @@ class PupilPlanner:
             groups.append(Group("quadrature", clear, lambda order, _: points(order), turns=turns))
         outlines = None
         if shapes and (cut is None or len(cut)):
-            found, outlines = self._outlined(exposure, cut)
-            groups += [replace(group, members=np.intersect1d(group.members, open_)) for group in found]
+            outlined, outlines = self._outlined(exposure, cut)
+            groups += [replace(group, members=np.intersect1d(group.members, open_)) for group in outlined]
         return Sampled(groups, bounds, outlines, (exposure.mid.count, bands, colours * exposure.nodes.times))
 
     def sampled_by_rays(self, exposure: PlannedExposure) -> Sampled:
@@ -363,7 +363,7 @@ class PupilPlanner:
         points."""
         everyone = np.arange(exposure.mid.count)
         sampled = self.sampled(exposure, everyone, shapes=self.camera.blur_px > 0.0)
-        groups, bounds, left = [], sampled.bounds, everyone
+        groups, bounds, remaining = [], sampled.bounds, everyone
         holed = any(surface.holed for surface in self.camera.lens.surfaces)
         for group in sampled.groups:
             if group.outlines is None and holed:
@@ -374,9 +374,9 @@ class PupilPlanner:
             if group.outlines is not None:
                 bounds.find(exposure.mid, group.members, exposure.picks.ends()[1], group.outlines.bounding)
             groups.append(replace(group, order=plan[0], error=plan[1]))
-            left = np.setdiff1d(left, group.members)
+            remaining = np.setdiff1d(remaining, group.members)
         if not self.pupil.exact:
-            self._find_bounds(bounds, exposure, left)
+            self._find_bounds(bounds, exposure, remaining)
         log2_rays = self.sobol_log2_rays + (0 if self._blurred else UNBLURRED_MORE)
         sobol = sobol_points(sampled.nodes[2], self.sobol_seed, log2_rays)
         if exposure.nodes is not exposure.mid:
@@ -385,14 +385,15 @@ class PupilPlanner:
         def moved(_: Order, stars: IntArray) -> DiskPoints:
             return DiskPoints(sobol, *self.disks(exposure, exposure.wavelength_nm, stars))
 
-        return replace(sampled, groups=[*groups, Group("sobol", left, moved, order=(sobol.count, 1))], bounds=bounds)
+        groups.append(Group("sobol", remaining, moved, order=(sobol.count, 1)))
+        return replace(sampled, groups=groups, bounds=bounds)
 
     def sampled_by_waves(self, exposure: PlannedExposure, stars: IntArray) -> Sampled:
         """Sampling of stars at rest for sums of plane waves: stars without an outline by cells."""
-        sampled, left = self.sampled(exposure, stars), stars
+        sampled, remaining = self.sampled(exposure, stars), stars
         for group in sampled.groups:
-            left = np.setdiff1d(left, group.members)
-        groups = [*sampled.groups, Group("cells", left, None)]
+            remaining = np.setdiff1d(remaining, group.members)
+        groups = [*sampled.groups, Group("cells", remaining, None)]
         return replace(sampled, groups=[group for group in groups if len(group.members)])
 
     def _find_bounds(self, bounds: Bounds, exposure: PlannedExposure, stars: IntArray) -> None:
@@ -406,9 +407,9 @@ class PupilPlanner:
     def _inside(self, exposure: PlannedExposure, stars: IntArray) -> tuple[FloatArray, NDArray[np.bool_]]:
         """A point (n, b, 2) inside the beam of some of the stars, 0 for others, and for which there is one."""
         middle = np.median(exposure.wavelength_nm, 1)
-        found, lit = inner_points(self.camera.focused_lens, exposure.paths.mid[stars], middle)
+        points, lit = inner_points(self.camera.focused_lens, exposure.paths.mid[stars], middle)
         centre = np.zeros((exposure.mid.count, len(middle), 2))
-        centre[stars] = (found - [self.pupil.x_mm, self.pupil.y_mm]) / self.pupil.radius_mm
+        centre[stars] = (points - [self.pupil.x_mm, self.pupil.y_mm]) / self.pupil.radius_mm
         return centre, np.asarray(lit.all(1))
 
     def disks(
@@ -479,10 +480,10 @@ class PupilPlanner:
         points = partial(staggered, nodes=few.shape[1], times=tried)
         group = Group(mode, np.arange(len(paths.mid)), lambda order, _: points(order))
         if mode == "arcs" or not self.pupil.exact:
-            found = [one for one in self._outlined(exposure)[0] if one.mode == mode]
-            if not found:
+            outlined = [group for group in self._outlined(exposure)[0] if group.mode == mode]
+            if not outlined:
                 return still
-            group, ladder = found[0], OUTLINE_LADDER if mode == "quadrature" else ARC_LADDER
+            group, ladder = outlined[0], OUTLINE_LADDER if mode == "quadrature" else ARC_LADDER
         probes = group.members
         node_weight = None if times == 1 else np.repeat(paths.weight[0] / few.shape[1], few.shape[1])
 
@@ -494,7 +495,7 @@ class PupilPlanner:
             least = LEAST_ARC_ORDER if mode == "arcs" else LEAST_ORDER
             tolerance = self.tolerance * (MOTION_TOLERANCE / TOLERANCE)
             return lowest_order(land, self.camera.blur_px, tolerance, still[0], least)
-        fewer = tuple(one for one in ladder if math.prod(one) * wavelength_nm.shape[1] <= MOST_RAYS)
+        fewer = tuple(order for order in ladder if math.prod(order) * wavelength_nm.shape[1] <= MOST_RAYS)
         return self._converged(exposure, group, fewer)
 
     def _converged(
@@ -520,14 +521,14 @@ class PupilPlanner:
         size = math.ceil(float(np.where(empty, 0.0, high - low + 2.0 * room).max())) + 1
         if size > WIDEST_TRIAL_PX:
             return None
-        share = np.full((len(probes), *wavelength_nm.shape), 1.0 / wavelength_nm.shape[1])
+        node_weight = np.full((len(probes), *wavelength_nm.shape), 1.0 / wavelength_nm.shape[1])
 
         def trial(order: Order) -> Trial:
             stamps = exposure.nodes.splat(
                 stars=stars,
                 pupil=group.of(probes, order),
                 wavelength_nm=wavelength_nm,
-                node_weight=share,
+                node_weight=node_weight,
                 corner_px=corner,
                 stamp_px=size,
                 cells_per_px=2,

@@ -135,7 +135,9 @@ def whole_disk(order: tuple[int, int], nodes: int) -> TablePoints:
     return TablePoints(points, np.asarray(samples.weight))
 
 
-def _spectrum(landed: Landed, frequency: FloatArray, left: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+def _spectrum(
+    landed: Landed, frequency: FloatArray, transfer_function: FloatArray
+) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Damped characteristic function, light and mean of the landing points (n, b, 2 f + 3); which stars are clear."""
     x, y = landed.x, landed.y
     origin_x, origin_y = x.mean((2, 3), keepdims=True), y.mean((2, 3), keepdims=True)
@@ -154,7 +156,7 @@ def _spectrum(landed: Landed, frequency: FloatArray, left: FloatArray) -> tuple[
     for at in range(0, len(frequency), 4):
         for offset, key in enumerate(base):
             powers[key] = powers[key] * base[key]
-            columns.append(left[at + offset] * (weight * powers[key]).sum((2, 3)))
+            columns.append(transfer_function[at + offset] * (weight * powers[key]).sum((2, 3)))
     rows = [part for column in columns for part in (column.real, column.imag)]
     light = weight.sum((2, 3))
     rows += [light, *((weight * (v - o)).sum((2, 3)) / light + o[..., 0, 0] for v, o in ((x, origin_x), (y, origin_y)))]
@@ -180,10 +182,10 @@ def converged_order(
     tried: dict[tuple[int, int], Trial] = {}
     for order in ladder:
         beyond = math.ceil(math.sqrt(2.0) * order[0]), math.ceil(math.sqrt(2.0) * order[1])
-        finer = next((one for one in ladder if math.prod(one) >= 2 * math.prod(order)), beyond)
-        for one in (order, finer):
-            if one not in tried:
-                tried[one] = trial(one)
+        finer = next((candidate for candidate in ladder if math.prod(candidate) >= 2 * math.prod(order)), beyond)
+        for candidate in (order, finer):
+            if candidate not in tried:
+                tried[candidate] = trial(candidate)
         if not tried[finer].clear.any():
             return None
         error = tried.pop(order).change(tried[finer])
@@ -215,11 +217,11 @@ def lowest_order(
         return errors[order]
 
     rings, arms = start
-    for axis, share in ((1, 0.7), (0, 1.0)):
+    for axis, margin in ((1, 0.7), (0, 1.0)):
         low, high = least[axis], start[axis]
         while low < high:  # the lowest that is good enough; errors fall with the order
             middle = (low + high) // 2
-            if error((rings, middle) if axis else (middle, arms)) < share * tolerance:
+            if error((rings, middle) if axis else (middle, arms)) < margin * tolerance:
                 high = middle
             else:
                 low = middle + 1

@@ -101,9 +101,9 @@ def aimed_lens(lens: LensSystem, program: LensProgram, theta: FloatArray) -> Aim
 def _hole_mm(surface: Surface) -> float:
     """Radius of the circle about a surface's vertex that stops light, infinite if an aperture is of another shape."""
     radii = [surface.inner_semi_diameter_mm]
-    for one in surface.apertures:
-        round_ = isinstance(one, Circle) and one.obscures and one.centre_mm == (0.0, 0.0)
-        radii.append(one.radius_mm if isinstance(one, Circle) and round_ else math.inf)
+    for aperture in surface.apertures:
+        centred = isinstance(aperture, Circle) and aperture.obscures and aperture.centre_mm == (0.0, 0.0)
+        radii.append(aperture.radius_mm if isinstance(aperture, Circle) and centred else math.inf)
     return max(radii)
 
 
@@ -127,9 +127,9 @@ def find_chiefs(
     status = kernel.launch(star, px, py, wavelength, error, without_obscurations(lens.full))[2]
     dr.eval(x, y, free, status)
     arrived, stopped = (v.numpy().reshape(shape) for v in (free, status))
-    through = np.isfinite(points).all(-1) & (arrived == OK)
-    column, row = (np.where(through, v.numpy().reshape(shape), np.nan) for v in (x, y))
-    return Chiefs(points, column, row, blocked=through & (stopped == VIGNETTED))
+    landed = np.isfinite(points).all(-1) & (arrived == OK)
+    column, row = (np.where(landed, v.numpy().reshape(shape), np.nan) for v in (x, y))
+    return Chiefs(points, column, row, blocked=landed & (stopped == VIGNETTED))
 
 
 def _aimed(lens: AimedLens, kernel: StarKernel, wavelength_nm: FloatArray) -> FloatArray:
@@ -141,25 +141,25 @@ def _aimed(lens: AimedLens, kernel: StarKernel, wavelength_nm: FloatArray) -> Fl
     unit = dr.opaque(F, 1.0 / kernel.geometry.pupil_radius_mm)
 
     def at_stop(px: Any, py: Any) -> tuple[Any, Any]:
-        found: list[Any] = []
+        position: list[Any] = []
 
         def visit(number: int, rays: Rays) -> None:
             if number == lens.stop:
-                found.extend((rays.x * unit, rays.y * unit))
+                position.extend((rays.x * unit, rays.y * unit))
 
         trace_program(lens.front, lens.theta, kernel.rays(star, px, py, wavelength), kernel.xp, visit)
-        return found[0], found[1]
+        return position[0], position[1]
 
-    def step(px: Any, py: Any, error: Any, left: Any) -> tuple[Any, Any, Any, Any]:
+    def step(px: Any, py: Any, error: Any, steps: Any) -> tuple[Any, Any, Any, Any]:
         (u, v), right, up = at_stop(px, py), at_stop(px + h, py), at_stop(px, py + h)
         a, b, c, d = right[0] - u, up[0] - u, right[1] - v, up[1] - v
         scale = h / (a * d - b * c)
-        return px - (d * u - b * v) * scale, py - (a * v - c * u) * scale, u * u + v * v, left - 1
+        return px - (d * u - b * v) * scale, py - (a * v - c * u) * scale, u * u + v * v, steps - 1
 
-    zero, one = dr.zeros(F, len(star)), dr.full(F, 1.0, len(star))
+    zero, ones = dr.zeros(F, len(star)), dr.full(F, 1.0, len(star))
     px, py, error, _ = dr.while_loop(
-        (zero, zero, one, dr.full(kernel.I, AIM_STEPS, len(star))),
-        lambda px, py, error, left: (left > 0) & (error > AIM_TOLERANCE**2),
+        (zero, zero, ones, dr.full(kernel.I, AIM_STEPS, len(star))),
+        lambda px, py, error, steps: (steps > 0) & (error > AIM_TOLERANCE**2),
         step,
         mode="symbolic",
     )
@@ -214,16 +214,16 @@ class OutlineSearch:
     def _heights(self, radius: Any, program: LensProgram, numbers: tuple[int, ...]) -> tuple[Rays, list[Any]]:
         """Rays at a radius, and their heights on surfaces in units of the apertures."""
         px, py = self.cx + radius * self.cosine, self.cy + radius * self.sine
-        found = {}
+        heights = {}
 
         def visit(number: int, rays: Rays) -> None:
             if number in numbers:
                 unit = dr.opaque(self.kernel.F, 1.0 / self.circles[number])
-                found[number] = dr.sqrt(rays.x * rays.x + rays.y * rays.y) * unit
+                heights[number] = dr.sqrt(rays.x * rays.x + rays.y * rays.y) * unit
 
         rays = self.kernel.rays(self.star, px, py, self.wavelength)
         rays = trace_program(program, self.lens.theta, rays, self.kernel.xp, visit)
-        return rays, [found[number] for number in numbers]
+        return rays, [heights[number] for number in numbers]
 
     def _solve(self, program: LensProgram, numbers: tuple[int, ...]) -> tuple[Any, Any]:
         """First radius at which one of the surfaces is touched, and whether it was found."""
@@ -232,17 +232,17 @@ class OutlineSearch:
         def heights(radius: Any) -> list[Any]:
             return self._heights(radius, program, numbers)[1]
 
-        def step(radius: Any, before: Any, left: Any, at: list[Any], was: list[Any]) -> tuple[Any, ...]:
+        def step(radius: Any, before: Any, steps: Any, at: list[Any], was: list[Any]) -> tuple[Any, ...]:
             run = radius - before
             following = 2.0 * dr.abs(radius) + FIRST_RADIUS  # where no height rises
             for now, then in zip(at, was, strict=True):
                 rise = now - then
                 reach = radius + (1.0 - now) * run / rise
                 following = dr.select((rise * run > 0.0) & (reach < following), reach, following)
-            return following, radius, left - 1, heights(following), at
+            return following, radius, steps - 1, heights(following), at
 
-        def open_(radius: Any, before: Any, left: Any, at: list[Any], was: list[Any]) -> Any:
-            return (left > 0) & (dr.abs(_largest(at) - 1.0) > RIM_TOLERANCE) & (radius != before) & (radius < WIDEST)
+        def open_(radius: Any, before: Any, steps: Any, at: list[Any], was: list[Any]) -> Any:
+            return (steps > 0) & (dr.abs(_largest(at) - 1.0) > RIM_TOLERANCE) & (radius != before) & (radius < WIDEST)
 
         start, first = dr.zeros(F, count), dr.full(F, FIRST_RADIUS, count)
         centre = heights(start)
@@ -250,15 +250,15 @@ class OutlineSearch:
         radius, _, _, at, _ = dr.while_loop(state, open_, step, mode="symbolic")
         return radius, (dr.abs(_largest(at) - 1.0) < 1e3 * RIM_TOLERANCE) & (_largest(centre) < 1.0)
 
-    def _rims(self, radius: Any, found: Any, numbers: tuple[int, ...], largest: bool = False) -> Rims:
+    def _rims(self, radius: Any, solved: Any, numbers: tuple[int, ...], largest: bool = False) -> Rims:
         """Fate of rays at these radii in the whole lens; heights on some surfaces, or the largest of them."""
         lens = self.lens
         rays, heights = self._heights(radius * (1.0 - INSIDE), lens.full, numbers)
         heights = [_largest(heights)] if largest and heights else heights  # a stop may be the only aperture
-        good = found & (rays.status == OK)
-        dr.eval(radius, found, good, *heights)
+        good = solved & (rays.status == OK)
+        dr.eval(radius, solved, good, *heights)
         height = np.stack([h.numpy().reshape(self.shape) for h in heights]) if heights else np.zeros((1, *self.shape))
-        radius = np.where(found.numpy().astype(bool), radius.numpy(), np.nan)
+        radius = np.where(solved.numpy().astype(bool), radius.numpy(), np.nan)
         return Rims(radius.reshape(self.shape), height, good.numpy().astype(bool).reshape(self.shape))
 
     def stop_rims(self) -> Rims:
@@ -284,8 +284,8 @@ class OutlineSearch:
         rays, _ = self._heights(radius * (1.0 + INSIDE), lens.full, ())
         self.circles = dict(lens.limits)
         good = rays.status == OK
-        for _, found in parts:
-            good = good & found
+        for _, solved in parts:
+            good = good & solved
         dr.eval(radius, good)
         return radius.numpy().reshape(self.shape), good.numpy().astype(bool).reshape(self.shape)
 

@@ -36,12 +36,12 @@ ENOUGH = 1e-4
 """Error of a lens of revolution's fit at which no other is tried."""
 RIDGE = 1e-14
 """Weight of the squared unknowns added to the squared errors."""
-HELPED = 0.7
-"""Part of the error that a higher order has to leave at most for another one to be tried."""
-FIELDS, JUDGES = 8, 4
-"""Field angles that the fit knows, and those between which judge it."""
+IMPROVED = 0.7
+"""Ratio of the errors of an order and of the best so far above which no higher one is tried."""
+FIELDS, TEST_FIELDS = 8, 4
+"""Field angles of the fit, and those between at which its error is measured."""
 SPREAD = ((0.0, 1), (0.35, 6), (0.65, 10), (0.9, 14), (1.0, 18))
-JUDGE_SPREAD = ((0.5, 7), (0.8, 9), (0.97, 11))
+TEST_SPREAD = ((0.5, 7), (0.8, 9), (0.97, 11))
 """The same of lenses that are none of revolution: parts of the reach, and azimuths."""
 ROOM = 1.03
 """Reach of the fit in terms of the farthest corner of the detector; stars beyond have the transmission there."""
@@ -49,7 +49,7 @@ ORDERS = ((2, 3), (3, 5), (4, 6), (5, 8))
 """Degrees in the launch disk, and in all, of what is tried for a lens of revolution."""
 GENERAL_ORDERS = ((4, 6), (6, 8))
 """The same for other lenses."""
-DISK, JUDGE_DISK = (5, 14), (3, 9)
+DISK, TEST_DISK = (5, 14), (3, 9)
 """Rings and azimuths of the beams' points."""
 FLAT = 1e-9
 """Difference from 1 below which nothing is to be fitted."""
@@ -67,18 +67,18 @@ class PupilTransmission:
     term: IntArray  # (m,) Which of the q pairs of powers in the launch disk each is
     pairs: IntArray  # (q, 2) These
     coefficient: FloatArray  # (b k, m)
-    error: float  # Largest at rays that the fit does not know
+    error: float  # Largest at rays outside the fit's data
 
     def table(self, light: FloatArray) -> FloatArray:
         """Coefficients (n, b k, q) of the pairs of powers for light of directions (n, 3)."""
         across = light[:, :2] / self.reach
         across = across / np.maximum(np.hypot(*across.T), 1.0)[:, None]
         basis = _field_terms(self.turned, across, self.field_power)
-        found = np.zeros((len(light), len(self.coefficient), len(self.pairs)))
+        coefficients = np.zeros((len(light), len(self.coefficient), len(self.pairs)))
         for q in range(len(self.pairs)):
             some = self.term == q
-            found[..., q] = basis[:, some] @ self.coefficient[:, some].T
-        return found
+            coefficients[..., q] = basis[:, some] @ self.coefficient[:, some].T
+        return coefficients
 
     def coordinates(self, px: Any, py: Any, dx: Any, dy: Any) -> tuple[Any, Any]:
         """Coordinates of points of the launch disk for light with direction cosines dx, dy across the axis."""
@@ -105,15 +105,15 @@ def _field_terms(turned: bool, across: FloatArray, power: IntArray) -> FloatArra
     return np.asarray(first[:, None] ** power[:, 0] * second[:, None] ** power[:, 1])
 
 
-def _powers(turned: bool, disk: int, whole: int) -> tuple[IntArray, IntArray]:
+def _powers(turned: bool, disk: int, total: int) -> tuple[IntArray, IntArray]:
     """Powers (m, 2) in the launch disk and of the field, up to degrees in the disk and in all."""
     rows = []
     for i in range(disk + 1):
         for j in range(disk + 1 - i):
-            left = whole - i - j
-            rows += [(i, j, k, m) for k in range(left + 1) for m in range(1 if turned else left + 1 - k)]
-    found = np.array(rows)
-    return found[:, :2], found[:, 2:]
+            remaining = total - i - j
+            rows += [(i, j, k, m) for k in range(remaining + 1) for m in range(1 if turned else remaining + 1 - k)]
+    powers = np.array(rows)
+    return powers[:, :2], powers[:, 2:]
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +131,7 @@ def _fields(reach_rad: float, count: int, shift: float, spread: bool) -> FloatAr
     part = np.sin(0.5 * np.pi * (np.arange(count) + shift) / (count - 1 + 2.0 * shift))
     azimuth = GOLDEN * np.arange(count)
     if spread:  # over the disk of fields
-        rings = SPREAD if shift == 0.0 else JUDGE_SPREAD
+        rings = SPREAD if shift == 0.0 else TEST_SPREAD
         part = np.concatenate([np.full(n, r) for r, n in rings])
         azimuth = np.concatenate([2.0 * np.pi * (np.arange(n) + shift) / n for _, n in rings])
     angle = reach_rad * part
@@ -162,9 +162,9 @@ class _CameraKey:
 @lru_cache(maxsize=32)
 def _fitted(key: _CameraKey, wavelengths: bytes) -> PupilTransmission | None:
     wave = np.unique(np.frombuffer(wavelengths))
-    back = np.searchsorted(wave, np.frombuffer(wavelengths))
-    found = _Fit(key, wave).best()
-    return None if found is None else replace(found, coefficient=found.coefficient[back])
+    inverse = np.searchsorted(wave, np.frombuffer(wavelengths))
+    fit = _Fit(key, wave).best()
+    return None if fit is None else replace(fit, coefficient=fit.coefficient[inverse])
 
 
 class _Fit:
@@ -179,29 +179,29 @@ class _Fit:
 
     def best(self) -> PupilTransmission | None:
         """The lowest order that is good enough, or the best."""
-        known, judge = self._samples(False)
-        lit = [one.value[np.isfinite(one.value)] for one in (known, judge)]
+        fitted, test = self._samples(False)
+        lit = [samples.value[np.isfinite(samples.value)] for samples in (fitted, test)]
         if not all(map(len, lit)) or max(float(np.abs(v - 1.0).max()) for v in lit) < FLAT:
             return None
         best: PupilTransmission | None = None
         for turned, orders in ((True, ORDERS), (False, GENERAL_ORDERS)):
             if not turned:
-                known, judge = self._samples(True)
-            for disk, whole in orders:
-                found = _fit(turned, disk, whole, math.sin(self.reach_rad), known, judge)
-                helped = best is None or found.error < HELPED * best.error
-                best = found if best is None or found.error < best.error else best
+                fitted, test = self._samples(True)
+            for disk, total in orders:
+                candidate = _fit(turned, disk, total, math.sin(self.reach_rad), fitted, test)
+                improved = best is None or candidate.error < IMPROVED * best.error
+                best = candidate if best is None or candidate.error < best.error else best
                 if best.error < TOLERANCE:
                     return best
-                if not helped:
+                if not improved:
                     break
             if best is not None and best.error < ENOUGH:
                 break
         return best
 
     def _samples(self, spread: bool) -> tuple[_Samples, _Samples]:
-        known = self._traced(_fields(self.reach_rad, FIELDS, 0.0, spread), DISK)
-        return known, self._traced(_fields(self.reach_rad, JUDGES, 0.4, spread), JUDGE_DISK)
+        fitted = self._traced(_fields(self.reach_rad, FIELDS, 0.0, spread), DISK)
+        return fitted, self._traced(_fields(self.reach_rad, TEST_FIELDS, 0.4, spread), TEST_DISK)
 
     def _traced(self, stars: FloatArray, order: tuple[int, int]) -> _Samples:
         lens, disk, points, light = self.lens, self.pupil, gauss_disk(*order), light_direction(stars)
@@ -209,9 +209,9 @@ class _Fit:
         if disk.exact:
             px, py = (np.broadcast_to(v, (len(stars), len(points.x))) for v in (points.x, points.y))
         else:
-            own = launch_disks(lens, stars, self.wave)
-            down = (disk.z_mm - float(own.z_mm)) * light[:, :2] / light[:, 2:]
-            radius, cx, cy = (v.reshape(-1, 1) for v in (own.radius_mm, own.x_mm, own.y_mm))
+            disks = launch_disks(lens, stars, self.wave)
+            down = (disk.z_mm - float(disks.z_mm)) * light[:, :2] / light[:, 2:]
+            radius, cx, cy = (v.reshape(-1, 1) for v in (disks.radius_mm, disks.x_mm, disks.y_mm))
             px = (cx + down[:, :1] + radius * points.x - disk.x_mm) / unit
             py = (cy + down[:, 1:] + radius * points.y - disk.y_mm) / unit
         value = np.empty((len(self.wave), *px.shape))
@@ -223,14 +223,16 @@ class _Fit:
                 direction=np.broadcast_to(light[:, None, :], (*px.shape, 3)),
                 wavelength_nm=np.full(px.shape, nm),
             )
-            losses, one = self.losses, np.ones(px.size)
-            out = trace_ghost(lens, None, rays, one, coating=losses.coating, absorption=losses.absorption)
+            losses, ones = self.losses, np.ones(px.size)
+            out = trace_ghost(lens, None, rays, ones, coating=losses.coating, absorption=losses.absorption)
             value[w] = np.where(out.rays.status == OK, out.weight / self.on_axis[w], np.nan).reshape(px.shape)
         return _Samples(light, px, py, value)
 
 
-def _fit(turned: bool, disk: int, whole: int, reach: float, known: _Samples, judge: _Samples) -> PupilTransmission:
-    power, field_power = _powers(turned, disk, whole)
+def _fit(
+    turned: bool, disk: int, total: int, reach: float, fitted_rays: _Samples, test_rays: _Samples
+) -> PupilTransmission:
+    power, field_power = _powers(turned, disk, total)
     pairs, term = np.unique(power, axis=0, return_inverse=True)
     empty = PupilTransmission(
         turned, reach, power, field_power, np.asarray(term).ravel(), pairs, np.empty((0, len(power))), 0.0
@@ -242,14 +244,15 @@ def _fit(turned: bool, disk: int, whole: int, reach: float, known: _Samples, jud
         in_disk = first[..., None] ** power[:, 0] * second[..., None] ** power[:, 1]
         return np.asarray((in_disk * _field_terms(turned, across, field_power)[:, None]).reshape(-1, len(power)))
 
-    rows, value = basis(known), known.value.reshape(len(known.value), -1)
-    seen, scale = np.isfinite(value), np.abs(rows).max(0)
-    fitted = np.empty((len(value), len(power)))
-    for w in range(len(seen)):  # most have the same rays
-        if w == 0 or not np.array_equal(seen[w], seen[w - 1]):
-            lit = rows[seen[w]] / scale
-            square = lit.T @ lit + RIDGE * len(lit) * np.eye(len(power))  # small: a QR decomposition takes longer
-        fitted[w] = np.linalg.solve(square, lit.T @ (value[w][seen[w]] - 1.0)) / scale
-    fitted[:, ((power == 0).all(1)) & ((field_power == 0).all(1))] += 1.0
-    error = np.nanmax(np.abs(fitted @ basis(judge).T - judge.value.reshape(len(fitted), -1)))
-    return replace(empty, coefficient=fitted, error=float(error))
+    rows, value = basis(fitted_rays), fitted_rays.value.reshape(len(fitted_rays.value), -1)
+    valid, scale = np.isfinite(value), np.abs(rows).max(0)
+    coefficients = np.empty((len(value), len(power)))
+    for w in range(len(valid)):  # most have the same rays
+        if w == 0 or not np.array_equal(valid[w], valid[w - 1]):
+            lit = rows[valid[w]] / scale
+            normal_matrix = lit.T @ lit + RIDGE * len(lit) * np.eye(len(power))  # faster than a QR decomposition
+        coefficients[w] = np.linalg.solve(normal_matrix, lit.T @ (value[w][valid[w]] - 1.0)) / scale
+    coefficients[:, ((power == 0).all(1)) & ((field_power == 0).all(1))] += 1.0
+    residual = coefficients @ basis(test_rays).T - test_rays.value.reshape(len(coefficients), -1)
+    error = np.nanmax(np.abs(residual))
+    return replace(empty, coefficient=coefficients, error=float(error))

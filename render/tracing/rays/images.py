@@ -60,10 +60,10 @@ class RayImages:
             members = group.members
             if group is sampled.groups[-1]:
                 members, lost = np.sort(np.concatenate([members, lost])), lost[:0]
-            left = passes.trace(replace(group, members=members)) if len(members) else members
-            lost = np.concatenate([lost, left])
-            if len(members) > len(left):
-                sampling[group.mode] = (len(members) - len(left), group.rays * light.weight.shape[2])
+            cut = passes.trace(replace(group, members=members)) if len(members) else members
+            lost = np.concatenate([lost, cut])
+            if len(members) > len(cut):
+                sampling[group.mode] = (len(members) - len(cut), group.rays * light.weight.shape[2])
         return sampled, sampling
 
     def cells(self, light: NodeLight, exposure: PlannedExposure, half_size_px: int, cells_per_px: int) -> FloatArray:

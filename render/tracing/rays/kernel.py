@@ -35,8 +35,8 @@ from render.tracing.pupil.points import OutlinePoints, PupilPoints
 from render.tracing.pupil.transmission import PupilTransmission
 
 PIXEL_REACH, STRIP_REACH = 5.0, 4.0
-"""Half-width of the diffusion kernel in standard deviations, at least; what lies beyond (6e-7 of the light, 6e-5 for
-the strips, in equal parts left and right) goes to the outermost pixel or strip."""
+"""Least half-width of the diffusion kernel in standard deviations; its tails (6e-7 of the light, 6e-5 for the strips)
+go to the outermost pixel or strip."""
 
 STRIP_ALIASING_PX = 2e-5
 MOST_STRIPS = 1024
@@ -44,15 +44,13 @@ MOST_STRIPS = 1024
 ARRIVED, LOST, OUTSIDE = 0, 1, 2
 FIRST, SECOND, STRIPS = slice(3, 5), slice(5, 7), slice(7, 9)
 HIDDEN, CLEAR = 9, 10
-"""Where the moments of `StampSums` stand: shares of light, then (x, y) of the landing points, of their squares, and of
-the strips; the share that would have arrived if nothing stood between the sky and the lens; last what apertures let
-through, of which surfaces and glasses take some on top of what they take along the axis."""
+"""Columns of `StampSums.moments`."""
 _MOMENTS = CLEAR + 1
 
 _SCALE = 2.0**50
-# Between 2^52 and 2^53 a float64 counts in ones: added to this number, a value below 2^51 is rounded to a whole number
-# that stands in the low 51 bits. One addition and a mask, where processors without AVX-512 have no instruction that
-# makes 64-bit integers of float64, and LLVM falls back on a slow sequence of them.
+# Between 2^52 and 2^53 the spacing of float64 is 1: added to this number, a value below 2^51 is rounded to an integer
+# in the low 51 bits. One addition and a mask: AVX2 has no instruction from float64 to 64-bit integers, and
+# LLVM's sequence is slow.
 _ROUNDING = 1.5 * 2.0**52
 _MASK = (1 << 51) - 1
 
@@ -62,7 +60,7 @@ def strips_per_pixel(diffusion_px: float) -> int:
 
     A sum over strips of width 1/m aliases the light's spectrum at m cycles per pixel into the moment, with weight
     ``exp(-2 (pi m sigma)^2) / (pi m)`` after the diffusion kernel; the spectrum of the spot itself lowers it further.
-    Without diffusion that is all there is, and m is `MOST_STRIPS`.
+    Without diffusion m is `MOST_STRIPS`.
     """
     if diffusion_px * MOST_STRIPS < 0.5:
         return MOST_STRIPS
@@ -77,8 +75,8 @@ def reach_px(diffusion_px: float) -> float:
     return 0.5 * math.ceil(2.0 * PIXEL_REACH * diffusion_px)
 
 
-def gaussian_shares(F: Any, integer: Any, position: Any, sigma: float, reach: float) -> tuple[Any, list[Any]]:
-    """First cell and share of each of a Gaussian about a position, in cells; the outermost hold what lies beyond."""
+def gaussian_weights(F: Any, integer: Any, position: Any, sigma: float, reach: float) -> tuple[Any, list[Any]]:
+    """First cell of a Gaussian about a position, in cells, and the weight of each; the outermost hold the tails."""
     width = math.ceil(2 * reach * sigma)
     first = dr.detach(dr.floor(position - 0.5 * width))
     if width == 0:
@@ -110,14 +108,14 @@ class Geometry:
 
 @dataclass(frozen=True, slots=True)
 class StampSums:
-    """Sums of a pass for s stars in b bands; light in shares of what the star sends into the pupil."""
+    """Sums of a pass for s stars in b bands; light as fractions of what the star sends into the pupil."""
 
     pixels: FloatArray  # (s, b, m, m) Light per pixel of the stamp
     # (s, b, 11) Light on the stamp (`ARRIVED`), lost in the lens (`LOST`), beside the stamp (`OUTSIDE`); `FIRST` and
     # `SECOND` moments of the landing points on the stamp, and first moments of the light over `STRIPS` of columns and
-    # of rows, from the stamp's corner in units of its size; light that does not get to the lens (`HIDDEN`), and
-    # that of all of these but the lost (`CLEAR`). Where
-    # cells were asked for in place of pixels the strips are left out
+    # of rows (not of cells), from the stamp's corner in units of its size; light stopped in front of the lens
+    # (`HIDDEN`); light that apertures let through, before losses in surfaces and glasses beyond those of the axis
+    # (`CLEAR`)
     moments: FloatArray
 
     def take(self, keep: NDArray[np.bool_]) -> StampSums:
@@ -194,14 +192,14 @@ class StarKernel:
 
     def numbered(self, total: int, *sizes: int) -> list[Any]:
         """Indices of lane 0 ... total-1 along axes of the given sizes, last axis first, and what is left over."""
-        left = dr.arange(self.U, total)
+        remaining = dr.arange(self.U, total)
         indices = []
         for size in reversed(sizes):
             divisor = dr.opaque(self.U, size)
-            quotient = left // divisor
-            indices.append(left - quotient * divisor)
-            left = quotient
-        return [*indices, left]
+            quotient = remaining // divisor
+            indices.append(remaining - quotient * divisor)
+            remaining = quotient
+        return [*indices, remaining]
 
     def land(
         self, pupil: PupilPoints, wavelength_nm: FloatArray, stars: NDArray[np.uint32] | None = None
@@ -226,32 +224,29 @@ class StarKernel:
         shape = (len(stars), bands, nodes, pupil.count)
         point, node, slot = self.numbered(math.prod(shape), nodes, pupil.count)
         px, py, _ = pupil.sample(self.types, slot, node, point)
-        through = self.through(px, py, slot, node, wavelength_nm, stars)
-        return 1.0 if through is None else np.asarray(through.numpy()).reshape(shape)
+        transmission = self.ray_transmission(px, py, slot, node, wavelength_nm, stars)
+        return 1.0 if transmission is None else np.asarray(transmission.numpy()).reshape(shape)
 
-    def through(
+    def ray_transmission(
         self, px: Any, py: Any, slot: Any, node: Any, wavelength_nm: FloatArray, stars: NDArray[np.uint32] | None
     ) -> Any:
         """Transmission over that of the axis of rays from points of the launch disk; None where it is 1."""
-        found = None if self.transmission is None else self.transmission(wavelength_nm)
-        if found is None:
+        fit = None if self.transmission is None else self.transmission(wavelength_nm)
+        if fit is None:
             return None
         F, U = self.F, self.U
         middle = self.direction[:, self.times // 2]  # in the middle of the exposure, along whose path it hardly changes
         light = light_direction(middle if stars is None else middle[stars])
-        table = found.table(light)
+        table = fit.table(light)
         bands, colours, terms = (dr.opaque(U, size) for size in (*wavelength_nm.shape, table.shape[2]))
         position = slot // bands
         at = (slot * colours + node % colours) * terms
         flat = uploaded(F, table)
         dx, dy = (dr.gather(F, uploaded(F, light[:, i]), position) for i in (0, 1))
-        return found.value(
-            [dr.gather(F, flat, at + q) for q in range(table.shape[2])], *found.coordinates(px, py, dx, dy)
-        )
+        return fit.value([dr.gather(F, flat, at + q) for q in range(table.shape[2])], *fit.coordinates(px, py, dx, dy))
 
-    def hidden_share(self, shade: Shade, pupil: PupilPoints, stars: NDArray[np.uint32]) -> FloatArray:
-        """Share (s,) of the launch disk from which some stars are not seen, by equal weights of its points."""
-        # stars (s,)
+    def hidden_fraction(self, shade: Shade, pupil: PupilPoints, stars: NDArray[np.uint32]) -> FloatArray:
+        """Fraction (s,) of the launch disk from which some stars are hidden, by equal weights of its points."""
         point, position = self.numbered(len(stars) * pupil.count, pupil.count)
         px, py, _ = pupil.sample(self.types, position, dr.zeros(self.U, 1), point)
         star = dr.gather(self.U, self.U(stars), position)
@@ -280,9 +275,9 @@ class StarKernel:
         table = self.collimation.at(wavelength_nm).reshape(-1, 3)
         return tuple(dr.gather(self.F, uploaded(self.F, table[:, i]), colour) for i in range(3))
 
-    def _shares(self, position_px: Any, per_pixel: int, reach: float) -> tuple[Any, list[Any]]:
-        """First cell and share of each along one axis, for ``per_pixel`` cells per pixel from the stamp's corner."""
-        return gaussian_shares(self.F, self.I, position_px * per_pixel, self.geometry.diffusion_px * per_pixel, reach)
+    def _cell_weights(self, position_px: Any, per_pixel: int, reach: float) -> tuple[Any, list[Any]]:
+        """`gaussian_weights` along one axis, of ``per_pixel`` cells per pixel from the stamp's corner."""
+        return gaussian_weights(self.F, self.I, position_px * per_pixel, self.geometry.diffusion_px * per_pixel, reach)
 
     def _strip_centre(self, position_px: Any) -> Any:
         """First moment over strips of a Gaussian around a position: the first term of their alias (`strips_per_pixel`).
@@ -296,10 +291,7 @@ class StarKernel:
         return position_px + alias * dr.sin(2.0 * math.pi * m * position_px)
 
     def _add(self, target: Any, value: Any, index: Any, active: Any, together: bool = False) -> None:
-        """Fixed-point accumulation; ``value`` is already scaled to 2^50.
-
-        ``together``: neighbouring rays add to the same place, and on the processor are first added up among themselves.
-        """
+        """Fixed-point accumulation of a ``value`` scaled to 2^50; ``together``: neighbouring rays have one index."""
         llvm = dr.backend_v(self.F) == dr.JitBackend.LLVM
         mode = dr.ReduceMode.Local if together and llvm else dr.ReduceMode.Direct
         fixed = dr.reinterpret_array(self.U64, value + _ROUNDING) & self.U64(_MASK)
@@ -329,7 +321,7 @@ class StarKernel:
         point, node, slot = self.numbered(len(stars) * bands * nodes * pupil.count, nodes, pupil.count)
         px, py, weight = pupil.sample(self.types, slot, node, point)
         weight = weight * dr.gather(F, uploaded(F, node_weight), slot * dr.opaque(U, nodes) + node) * _SCALE
-        through = self.through(px, py, slot, node, wavelength_nm, stars)
+        transmission = self.ray_transmission(px, py, slot, node, wavelength_nm, stars)
         star, wavelength = self.light_of(slot, node, wavelength_nm, stars)
         error = self.error_of(slot, node, wavelength_nm)
         x, y, status = self.launch(star, px, py, wavelength, error)
@@ -340,7 +332,7 @@ class StarKernel:
         y = y - dr.gather(F, uploaded(F, corner_px[..., 1]), slot)
         strips = cells_per_px == 1 and self.times == 1 and not isinstance(pupil, OutlinePoints)
         shape = (len(stars), bands)
-        return self._collect(x, y, ok, hidden, weight, through, slot, shape, stamp_px, cells_per_px, strips)
+        return self._collect(x, y, ok, hidden, weight, transmission, slot, shape, stamp_px, cells_per_px, strips)
 
     def _collect(
         self,
@@ -349,7 +341,7 @@ class StarKernel:
         ok: Any,
         hidden: Any,
         weight: Any,
-        through: Any,
+        transmission: Any,
         slot: Any,
         shape: tuple[int, int],
         stamp_px: int,
@@ -360,41 +352,41 @@ class StarKernel:
         F, U, slots = self.F, self.U, math.prod(shape)
         arrived, ok = ok, ok if hidden is None else ok & ~hidden
         size, strips = stamp_px * cells_per_px, stamp_px * self.geometry.strips
-        cells = [self._shares(v, cells_per_px, PIXEL_REACH) for v in (x, y)]
-        marginals = [self._shares(v, self.geometry.strips, STRIP_REACH) for v in (x, y)] if by_strips else []
+        cells = [self._cell_weights(v, cells_per_px, PIXEL_REACH) for v in (x, y)]
+        marginals = [self._cell_weights(v, self.geometry.strips, STRIP_REACH) for v in (x, y)] if by_strips else []
         inside = ok
         for limit, parts in ((size, cells), (strips, marginals)):
-            for first, shares in parts:  # not &=, which would change ``ok`` too
-                inside = inside & (first >= 0) & (first + len(shares) <= dr.opaque(self.I, limit))
+            for first, weights in parts:  # not &=, which would change ``ok`` too
+                inside = inside & (first >= 0) & (first + len(weights) <= dr.opaque(self.I, limit))
         moments = dr.zeros(self.U64, slots * _MOMENTS)
         base = slot * _MOMENTS
-        if through is not None:
+        if transmission is not None:
             self._add(moments, weight, base + CLEAR, arrived, together=True)
-            weight = weight * dr.select(arrived, through, 1.0)
+            weight = weight * dr.select(arrived, transmission, 1.0)
         kind = dr.select(inside, U(ARRIVED), dr.select(ok, U(OUTSIDE), U(LOST)))
         if hidden is not None:
             kind = dr.select(hidden, U(HIDDEN), kind)
         self._add(moments, weight, base + kind, dr.mask_t(F)(True), together=True)
         u, v = x / dr.opaque(F, stamp_px), y / dr.opaque(F, stamp_px)
         centres = []
-        for first, shares in marginals:  # the strips' sum is taken ray by ray
+        for first, weights in marginals:  # ray by ray
             centre = F(first) + 0.5
-            for s, share in enumerate(shares[1:], 1):
-                centre = centre + s * share
+            for s, part in enumerate(weights[1:], 1):
+                centre = centre + s * part
             centres.append(centre / dr.opaque(F, strips))
-        if cells_per_px == 1 and not by_strips:  # what strips make of it, in closed form
+        if cells_per_px == 1 and not by_strips:  # the sum over strips in closed form
             centres = [self._strip_centre(v) / dr.opaque(F, stamp_px) for v in (x, y)]
         for k, value in enumerate((u, v, u * u, v * v, *centres)):
             self._add(moments, weight * value, base + (FIRST.start + k), inside, together=True)
         (column, along_x), (row, along_y) = cells
         pixels, edge = dr.zeros(self.U64, slots * size**2), dr.opaque(U, size)
         origin = (slot * edge + U(row)) * edge + U(column)
-        for r, share_y in enumerate(along_y):
-            line = weight * share_y
-            for c, share_x in enumerate(along_x):
-                self._add(pixels, line * share_x, origin + r * edge + c, inside)
+        for r, weight_y in enumerate(along_y):
+            line = weight * weight_y
+            for c, weight_x in enumerate(along_x):
+                self._add(pixels, line * weight_x, origin + r * edge + c, inside)
         dr.eval(pixels, moments)
         sums = self._numpy(moments, *shape, _MOMENTS)
-        if through is None:
+        if transmission is None:
             sums[..., CLEAR] = sums[..., ARRIVED] + sums[..., OUTSIDE] + sums[..., HIDDEN]
         return StampSums(self._numpy(pixels, *shape, size, size), sums)

@@ -105,9 +105,9 @@ class _WindowSum:
     def adjoint(self, weight: ComplexArray) -> tuple[FloatArray, ...]:
         """Gradients of Re sum(weight U) with respect to phase, fx, fy and amplitude."""
         weights = np.stack([weight, weight * self.samples, weight * self.samples[:, None]])
-        whole, along, across = finufft.nufft2d2(*self.points, weights, isign=1, **SETTINGS) * self.phase
+        total, along, across = finufft.nufft2d2(*self.points, weights, isign=1, **SETTINGS) * self.phase
         by_phase = -2.0 * np.pi * self.amplitude
-        return by_phase * whole.imag, by_phase * along.imag, by_phase * across.imag, whole.real
+        return by_phase * total.imag, by_phase * along.imag, by_phase * across.imag, total.real
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,13 +192,13 @@ class _Stamps:
 
     def pixels(self) -> FloatArray:
         """Pixels (slots, m, m)."""
-        found = []
+        stamps = []
         for slot, window in enumerate(self.windows):
             column, _, row, _, weight = self._matrices(slot)
             inside, disk = window.ends()
             image = self._light(slot) * inside
-            found.append(np.einsum("t,tij->ij", weight, row @ image @ np.swapaxes(column, 1, 2)) * disk)
-        return np.stack(found)
+            stamps.append(np.einsum("t,tij->ij", weight, row @ image @ np.swapaxes(column, 1, 2)) * disk)
+        return np.stack(stamps)
 
     def changed(self, changes: list[FloatArray]) -> FloatArray:
         """Change of the pixels with changes of the arrays."""
@@ -207,7 +207,7 @@ class _Stamps:
         *rays, energy, dx, dy, dw = (
             np.broadcast_to(c, math.prod(s)).reshape(s) for c, s in zip(changes, shapes, strict=True)
         )
-        found = []
+        changed_stamps = []
         for slot in range(count):
             column, column_slope, row, row_slope, weight = self._matrices(slot)
             inside, disk = self.windows[slot].ends()
@@ -221,12 +221,12 @@ class _Stamps:
             w, x, y, v = (a[:, None, None] for a in (weight, weight * dx[slot], weight * dy[slot], dw[slot]))
             each = w * (row @ slope @ c) + v * (row @ light @ c)
             each = each + x * (row @ light @ c_slope) + y * (row_slope @ light @ c)
-            found.append(each.sum(0) * disk)
-        return np.stack(found)
+            changed_stamps.append(each.sum(0) * disk)
+        return np.stack(changed_stamps)
 
     def adjoint(self, gradient: FloatArray) -> list[FloatArray]:
         """Gradients of all arrays from that of the pixels."""
-        found = [np.zeros_like(a) for a in (*self.rays, self.energy, *self.moves)]
+        gradients = [np.zeros_like(a) for a in (*self.rays, self.energy, *self.moves)]
         for slot, window in enumerate(self.windows):
             column, column_slope, row, row_slope, weight = self._matrices(slot)
             inside, disk = window.ends()
@@ -235,13 +235,13 @@ class _Stamps:
             light = np.zeros(())
             for k, waves, u in self._fields(slot):
                 light = light + self.energy[slot, k] * np.abs(u) ** 2
-                found[4][slot, k] = (to_light * np.abs(u) ** 2).sum()
+                gradients[4][slot, k] = (to_light * np.abs(u) ** 2).sum()
                 parts = waves.adjoint(2.0 * self.energy[slot, k] * to_light * u.conj())
-                for into, part in zip(found[:4], parts, strict=True):
+                for into, part in zip(gradients[:4], parts, strict=True):
                     into[slot, k] = part
             light = light * inside
             c, c_slope = np.swapaxes(column, 1, 2), np.swapaxes(column_slope, 1, 2)
-            found[5][slot] = weight * (g * (row @ light @ c_slope)).sum((1, 2))
-            found[6][slot] = weight * (g * (row_slope @ light @ c)).sum((1, 2))
-            found[7][slot] = (g * (row @ light @ c)).sum((1, 2))
-        return found
+            gradients[5][slot] = weight * (g * (row @ light @ c_slope)).sum((1, 2))
+            gradients[6][slot] = weight * (g * (row_slope @ light @ c)).sum((1, 2))
+            gradients[7][slot] = (g * (row @ light @ c)).sum((1, 2))
+        return gradients

@@ -95,11 +95,11 @@ def _to_rings(
     x, y = (ring[:, None] * f(angle) for f in (np.cos, np.sin))
     index, weight = [], []
     taps = np.arange(-TAPS, TAPS + 1, dtype=np.int32)
-    for place in (x.ravel(), y.ravel()):
-        at = np.rint((place - fine[0]) / step).astype(np.int32)[:, None] + taps
+    for position in (x.ravel(), y.ravel()):
+        at = np.rint((position - fine[0]) / step).astype(np.int32)[:, None] + taps
         index.append(at)
-        one = near(at * step + fine[0] - place[:, None])
-        weight.append((one / one.sum(1, keepdims=True)).astype(np.float32))
+        kernel = near(at * step + fine[0] - position[:, None])
+        weight.append((kernel / kernel.sum(1, keepdims=True)).astype(np.float32))
     upper = index[1].min()
     flat = (index[1] - upper)[:, :, None] * np.int32(len(fine)) + index[0][:, None, :]
     value = weight[1][:, :, None] * weight[0][:, None, :]
@@ -129,8 +129,8 @@ def _principal(single: NDArray[np.float32]) -> FloatArray:
     values = single.astype(np.float64)
     if len(values) > values.shape[1]:
         return np.asarray(values @ np.linalg.eigh(values.T @ values)[1])
-    square, left = np.linalg.eigh(values @ values.T)
-    return np.asarray(left * np.sqrt(np.maximum(square, 0.0)))
+    square, vectors = np.linalg.eigh(values @ values.T)
+    return np.asarray(vectors * np.sqrt(np.maximum(square, 0.0)))
 
 
 def _on_samples(
@@ -140,18 +140,18 @@ def _on_samples(
     x, y = np.meshgrid(samples_px, samples_px)
     distance, azimuth = np.hypot(x, y).ravel(), np.arctan2(y, x).ravel()
     inside = np.flatnonzero(distance < reach_px)
-    far, back = np.unique(np.round(distance[inside] / reach_px, 12), return_inverse=True)
-    every = np.concatenate([node, -node[::-1]])
-    weight = np.sin(np.arccos(every)) * (-1.0) ** np.arange(len(every))
+    radii, inverse = np.unique(np.round(distance[inside] / reach_px, 12), return_inverse=True)
+    nodes = np.concatenate([node, -node[::-1]])
+    weight = np.sin(np.arccos(nodes)) * (-1.0) ** np.arange(len(nodes))
     with np.errstate(divide="ignore"):
-        part = weight / (far[:, None] - every)
+        part = weight / (radii[:, None] - nodes)
     part[~np.isfinite(part).all(1)] = 0.0
     part /= part.sum(1, keepdims=True)
     to_even, to_odd = (part[:, : len(node)] + sign * part[:, : len(node) - 1 : -1] for sign in (1.0, -1.0))
     shape = np.zeros((2, len(order), distance.size), np.float32)
     for m in np.unique(order):
-        those = np.flatnonzero(order == m)
-        values = ((to_odd if m % 2 else to_even) @ radial[:, those])[back].T
-        shape[0][np.ix_(those, inside)] = values * np.cos(m * azimuth[inside])
-        shape[1][np.ix_(those, inside)] = values * np.sin(m * azimuth[inside])
+        columns = np.flatnonzero(order == m)
+        values = ((to_odd if m % 2 else to_even) @ radial[:, columns])[inverse].T
+        shape[0][np.ix_(columns, inside)] = values * np.cos(m * azimuth[inside])
+        shape[1][np.ix_(columns, inside)] = values * np.sin(m * azimuth[inside])
     return shape.reshape(2, len(order), *x.shape)

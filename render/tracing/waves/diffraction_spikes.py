@@ -49,9 +49,9 @@ ASKEW = 0.02
 MOST_TIMES = 8
 """Places along a trail from which far images are added up."""
 
-_kept: dict[bytes, FarImage | None] = {}
+_cache: dict[bytes, FarImage | None] = {}
 _of: WeakKeyDictionary[PupilPlanner, FarImage | None] = WeakKeyDictionary()
-MOST_KEPT = 4
+MOST_CACHED = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,25 +74,25 @@ class FarImage:
         """lambda N [px]."""
         return wavelength_nm / (2.0 * self.wavelength_nm * math.sqrt(self.per_px[0] * self.per_px[1]))
 
-    def pixels(self, x_px: FloatArray, y_px: FloatArray, wavelength_nm: FloatArray, share: FloatArray) -> FloatArray:
+    def pixels(self, x_px: FloatArray, y_px: FloatArray, wavelength_nm: FloatArray, weights: FloatArray) -> FloatArray:
         """Light (h, w) between edges (w + 1,), (h + 1,) from the middle, of wavelengths (k,) with their shares."""
         line = len(self.running)
         flat, middle = self.running.ravel(), 0.5 * line
         below = np.zeros((len(y_px), len(x_px)))  # light left of and above corners of pixels
-        for nm, part in zip(wavelength_nm, share, strict=True):
+        for nm, part in zip(wavelength_nm, weights, strict=True):
             if part == 0.0:
                 continue
             row, column = (
                 np.clip(4.0 * edges * per_px * self.wavelength_nm / nm + middle, 0.0, line - 1 - 1e-9)
                 for edges, per_px in ((y_px, self.per_px[1]), (x_px, self.per_px[0]))
             )
-            first, left = row.astype(np.int64), column.astype(np.int64)
-            corner, along = (first * line)[:, None] + left, column - left
+            first_row, first_column = row.astype(np.int64), column.astype(np.int64)
+            corner, along = (first_row * line)[:, None] + first_column, column - first_column
             upper, lower = (
                 start + (flat.take(at + 1) - start) * along
                 for at, start in ((at, flat.take(at)) for at in (corner, corner + line))
             )
-            below += part * (upper + (lower - upper) * (row - first)[:, None])
+            below += part * (upper + (lower - upper) * (row - first_row)[:, None])
         return np.diff(np.diff(below, axis=0), axis=1)
 
     def radius_px(self, electrons: float, unit_px: float, ends_e: float, saturated: bool) -> float:
@@ -108,17 +108,17 @@ def far_image(planner: PupilPlanner, wavelength_nm: float) -> FarImage | None:
     if planner in _of:
         return _of[planner]
     camera = planner.camera
-    plain = replace(camera, rotation_cam_from_world=np.eye(3), response=None, far=None, losses=None, scatter=None)
-    key = pickle.dumps(plain)
-    if key not in _kept:
-        while len(_kept) >= MOST_KEPT:
-            _kept.pop(next(iter(_kept)))
+    state = replace(camera, rotation_cam_from_world=np.eye(3), response=None, far=None, losses=None, scatter=None)
+    key = pickle.dumps(state)
+    if key not in _cache:
+        while len(_cache) >= MOST_CACHED:
+            _cache.pop(next(iter(_cache)))
         for cells in CELLS:
-            _kept[key] = found = _far_image(planner, wavelength_nm, cells)
-            if found is None or found.saturated < found.last:
+            _cache[key] = image = _far_image(planner, wavelength_nm, cells)
+            if image is None or image.saturated < image.last:
                 break
-    _of[planner] = _kept[key]
-    return _kept[key]
+    _of[planner] = _cache[key]
+    return _cache[key]
 
 
 def _far_image(planner: PupilPlanner, wavelength_nm: float, cells: int) -> FarImage | None:
@@ -131,9 +131,9 @@ def _far_image(planner: PupilPlanner, wavelength_nm: float, cells: int) -> FarIm
         return TablePoints((centre + radius * points)[None], np.full(len(points), 1.0 / len(points)))
 
     def arrives(points: FloatArray) -> FloatArray:
-        inside, found = np.hypot(*points.T) <= 1.0, np.zeros(len(points))
-        found[inside] = exposure.mid.land(table(points[inside]), wave, star)[2].ravel()
-        return found
+        inside, arrived = np.hypot(*points.T) <= 1.0, np.zeros(len(points))
+        arrived[inside] = exposure.mid.land(table(points[inside]), wave, star)[2].ravel()
+        return arrived
 
     middle = (np.arange(cells) + 0.5) * (2.0 / cells) - 1.0
     x, y = (v.ravel() for v in np.meshgrid(middle, middle))
@@ -206,69 +206,69 @@ def add_far_images(
 ) -> None:
     """Add what lies beyond the stamps of bright stars, disks of a radius, and move it from what is left out."""
     camera = planner.camera
-    far = camera.far
-    if far is None:
+    limits = camera.far
+    if limits is None:
         return
     stars, bands = stamps.stars, light.wavelength_nm.shape[0]
     electrons = light.electrons[stars] * stamps.light
-    share = light.weight[stars].reshape(len(stars), bands, -1, light.wavelength_nm.shape[1]).sum(2)
-    for s, b in np.argwhere(electrons > far.least_e).tolist():
+    spectrum = light.weight[stars].reshape(len(stars), bands, -1, light.wavelength_nm.shape[1]).sum(2)
+    for s, b in np.argwhere(electrons > limits.least_e).tolist():
         wave = light.wavelength_nm[b]
-        known = far_image(planner, float(wave.mean()))
-        if known is None:
+        far = far_image(planner, float(wave.mean()))
+        if far is None:
             return
-        unit, light_e = known.unit_px(float(share[s, b] @ wave)), float(electrons[s, b])
+        unit, light_e = far.unit_px(float(spectrum[s, b] @ wave)), float(electrons[s, b])
         brightest = float(stamps.pixels[s, b].max() * light.electrons[stars[s], b])
-        end = known.radius_px(light_e, unit, far.ends_e, brightest > far.saturated_e)
+        end = far.radius_px(light_e, unit, limits.ends_e, brightest > limits.saturated_e)
         if end < radius_px + 1.0:
             continue
         star = int(stars[s])
-        places = [(stamps.mean_px[s, b], 1.0)]
+        positions = [(stamps.mean_px[s, b], 1.0)]
         if trail is not None:
-            way, weight = trail.offset_px[star, b], trail.weight[star, b]
-            first = stamps.mean_px[s, b] - weight @ way
+            offset_px, weight = trail.offset_px[star, b], trail.weight[star, b]
+            first = stamps.mean_px[s, b] - weight @ offset_px
             parts = np.array_split(np.arange(len(weight)), min(len(weight), MOST_TIMES))
-            places = [(first + weight[p] @ way[p] / weight[p].sum(), float(weight[p].sum())) for p in parts]
-        left = float(sums.beyond[star, b])
-        for place, weight_here in places:
-            there, colours = (place, radius_px, end), (wave, share[s, b])
-            whole = float(sums.image[star, b] + sums.off_edge[star, b])
-            squares = whole**2 / float(sums.noise_area[star, b])
-            landed, on_image, more = _add(
-                known, there, colours, left * weight_here, image[..., b], camera.sensitive_columns
+            positions = [(first + weight[p] @ offset_px[p] / weight[p].sum(), float(weight[p].sum())) for p in parts]
+        remaining_e = float(sums.beyond[star, b])
+        for position_px, weight_here in positions:
+            geometry, colours = (position_px, radius_px, end), (wave, spectrum[s, b])
+            total_e = float(sums.image[star, b] + sums.off_edge[star, b])
+            squares = total_e**2 / float(sums.noise_area[star, b])
+            landed, on_image, squares_added = _add(
+                far, geometry, colours, remaining_e * weight_here, image[..., b], camera.sensitive_columns
             )
             sums.image[star, b] += on_image
             sums.off_edge[star, b] += landed - on_image
             sums.beyond[star, b] -= landed
-            sums.noise_area[star, b] = (whole + landed) ** 2 / (squares + more)
+            sums.noise_area[star, b] = (total_e + landed) ** 2 / (squares + squares_added)
 
 
 def _add(
-    known: FarImage,
-    there: tuple[FloatArray, float, float],
+    far: FarImage,
+    geometry: tuple[FloatArray, float, float],
     colours: tuple[FloatArray, FloatArray],
-    left_e: float,
+    remaining_e: float,
     image: NDArray[np.float32],
     sensitive: NDArray[np.bool_] | None,
 ) -> tuple[float, float, float]:
     """Add one far image; its electrons, those of them on the detector, and the sum of the squares of its pixels."""
-    mean_px, radius_px, end_px = there
+    mean_px, radius_px, end_px = geometry
     reach, middle = math.ceil(end_px), np.rint(mean_px)
     edges = np.arange(-reach, reach + 2) - 0.5
     x, y = (edges + (m - p) for m, p in zip(middle, mean_px, strict=True))
-    pixels = known.pixels(x, y, *colours)
+    pixels = far.pixels(x, y, *colours)
     steps = np.arange(-reach, reach + 1)
     distance = np.hypot(steps, steps[:, None])
     outside = 1.0 - float(pixels[distance <= radius_px].sum())
     pixels *= (distance > radius_px) & (distance <= end_px)
-    pixels *= left_e / outside
+    pixels *= remaining_e / outside
     (column, row), (height, width) = middle.astype(int) - reach, image.shape
     rows, columns = (slice(max(0, -a), max(0, min(2 * reach + 1, n - a))) for a, n in ((row, height), (column, width)))
-    kept = pixels[rows, columns]
-    if kept.size and sensitive is not None:
-        kept = kept * sensitive[column + columns.start : column + columns.stop]
-    if kept.size:
-        image[row + rows.start : row + rows.stop, column + columns.start : column + columns.stop] += kept.astype(
+    on_image = pixels[rows, columns]
+    if on_image.size and sensitive is not None:
+        on_image = on_image * sensitive[column + columns.start : column + columns.stop]
+    if on_image.size:
+        image[row + rows.start : row + rows.stop, column + columns.start : column + columns.stop] += on_image.astype(
             np.float32
         )
-    return float(pixels.sum()), float(kept.sum()), float((pixels**2).sum())
+    return float(pixels.sum()), float(on_image.sum()), float((pixels**2).sum())

@@ -62,7 +62,7 @@ class PlaneWaves:
 
     def take(self, stars: IntArray | BoolArray) -> PlaneWaves:
         """The same of some of the stars."""
-        return PlaneWaves(*(getattr(self, one.name)[stars] for one in fields(self)))
+        return PlaneWaves(*(getattr(self, field.name)[stars] for field in fields(self)))
 
     def rays(self, at: tuple[int, int], colour: int) -> RayArrays:
         """Rays of one star and band at one wavelength that get through."""
@@ -114,13 +114,13 @@ def trace_waves(
     px, py = (p + dr.gather(F, uploaded(F, steps[:, i]), variant) for i, p in enumerate((px, py)))
     error = kernel.error_of(slot, node, wavelength_nm)
     start = kernel.rays(star, px, py, wavelength, error)
-    through = kernel.through(px, py, slot, node, wavelength_nm, stars)
+    transmission = kernel.ray_transmission(px, py, slot, node, wavelength_nm, stars)
     ambient = kernel.program.media[kernel.program.steps[0].before].index(kernel.theta, wavelength, kernel.xp)
     phase = ambient * _launch_path(kernel, star, px, py, error)
     out = trace_program(kernel.program, kernel.theta, start, kernel.xp)
     path = out.opl_mm + phase
     ok = U((out.status == OK) if coverage is None else (out.status == OK) | (out.status == VIGNETTED))
-    dr.eval(out.x, out.y, out.dx, out.dy, path, ok, weight, through)
+    dr.eval(out.x, out.y, out.dx, out.dy, path, ok, weight, transmission)
 
     def every(values: object) -> FloatArray:
         return np.asarray(values.numpy()).reshape(*shape, 3)  # type: ignore[attr-defined]
@@ -134,19 +134,19 @@ def trace_waves(
     arrived &= np.isfinite(jacobian)
     weights = every(weight)[..., 0]
     clear = np.where(arrived, weights if coverage is None else weights * coverage, 0.0)
-    passed = 1.0 if through is None else every(through)[..., 0]
-    lit = clear * passed
+    relative = 1.0 if transmission is None else every(transmission)[..., 0]
+    lit = clear * relative
 
-    def kept(values: FloatArray) -> FloatArray:
+    def of_lit(values: FloatArray) -> FloatArray:
         return np.where(lit > 0.0, values[..., 0], 0.0)
 
     return PlaneWaves(
         x=np.where(lit > 0.0, cx + every(out.x)[..., 0] / pitch, 0.0),
         y=np.where(lit > 0.0, cy - every(out.y)[..., 0] / pitch, 0.0),
-        fx=kept(fx) * per_px,
-        fy=-kept(fy) * per_px,
-        turns=kept(every(path)) * (1e6 / wavelength_nm)[..., None],
-        amplitude=clear * np.sqrt(np.where(lit > 0.0, jacobian * passed, 0.0)) * per_px,
+        fx=of_lit(fx) * per_px,
+        fy=-of_lit(fy) * per_px,
+        turns=of_lit(every(path)) * (1e6 / wavelength_nm)[..., None],
+        amplitude=clear * np.sqrt(np.where(lit > 0.0, jacobian * relative, 0.0)) * per_px,
         weight=lit,
         lost=(weights - clear).sum(-1),
         clear=clear.sum(-1),
@@ -247,8 +247,8 @@ class WaveSeries:
             density = waves.amplitude * arms / np.repeat(rings(count)[1], arms)
             values = np.stack([waves.fx, waves.fy, phase - phase[..., :1], density], axis=-2)
             values = values.reshape(*mean.shape[:3], 4, count, arms)
-            back = np.exp(-2j * np.pi / arms * turn[:, :, None] * np.arange(arms // 2))
-            spectrum = np.fft.rfft(values, axis=-1)[..., :-1] * (back[:, None] / arms)
+            rotation = np.exp(-2j * np.pi / arms * turn[:, :, None] * np.arange(arms // 2))
+            spectrum = np.fft.rfft(values, axis=-1)[..., :-1] * (rotation[:, None] / arms)
             coefficient = np.ascontiguousarray(np.moveaxis(_legendre(count) @ spectrum, 4, 3))
             size = np.abs(coefficient)
             tail = np.maximum(size[:, :, :, -LAST_RINGS:].max((3, 5)), size[..., -LAST_TURNS:].max((3, 5)))

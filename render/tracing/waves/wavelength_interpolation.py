@@ -35,14 +35,14 @@ def picked_wavelengths(
         which = np.asarray(order)
     else:
         extrema = middle - half * np.cos(np.pi * np.arange(wanted) / (wanted - 1))
-        which = np.unique([np.abs(wavelength_nm - one).argmin() for one in extrema])
+        which = np.unique([np.abs(wavelength_nm - extremum).argmin() for extremum in extrema])
     scaled = (wavelength_nm - middle) / (half or 1.0)
     distance = np.abs(scaled[:, None] - scaled[which]).prod(1)
     weight = lagrange(scaled[which], scaled) if half > 0.0 else np.full((len(scaled), len(which)), 1.0 / len(which))
     return which, np.unique([order[0], order[-1], distance.argmax()]), weight
 
 
-def condensed_light(wavelength_nm: FloatArray, share: FloatArray, phase_rad: float) -> tuple[FloatArray, FloatArray]:
+def condensed_light(wavelength_nm: FloatArray, weight: FloatArray, phase_rad: float) -> tuple[FloatArray, FloatArray]:
     """Fewer wavelengths (b, q), and shares of them (n, b, t q), that make the images of k wavelengths (n, b, t k).
 
     Parameters as `picked_wavelengths`, for all bands; shares may be negative.
@@ -50,10 +50,10 @@ def condensed_light(wavelength_nm: FloatArray, share: FloatArray, phase_rad: flo
     bands, colours = wavelength_nm.shape
     most = max(len(picked_wavelengths(band, 1.0, phase_rad)[0]) for band in wavelength_nm)
     if most == colours:
-        return wavelength_nm, share
+        return wavelength_nm, weight
     waves = np.empty((bands, most))
-    by_time = share.reshape(*share.shape[:2], -1, colours)
-    found = np.zeros((*by_time.shape[:3], most))
+    by_time = weight.reshape(*weight.shape[:2], -1, colours)
+    condensed = np.zeros((*by_time.shape[:3], most))
     for b, band in enumerate(wavelength_nm):
         which = picked_wavelengths(band, 1.0, phase_rad)[0]
         while len(which) < most:  # as many in every band, all of them different
@@ -61,5 +61,5 @@ def condensed_light(wavelength_nm: FloatArray, share: FloatArray, phase_rad: flo
             which = np.sort(np.append(which, distance.argmax()))
         waves[b] = band[which]
         half = 0.5 * np.ptp(band)
-        found[:, b] = by_time[:, b] @ lagrange((waves[b] - band[0]) / half, (band - band[0]) / half)
-    return waves, found.reshape(*share.shape[:2], -1)
+        condensed[:, b] = by_time[:, b] @ lagrange((waves[b] - band[0]) / half, (band - band[0]) / half)
+    return waves, condensed.reshape(*weight.shape[:2], -1)
