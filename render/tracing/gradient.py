@@ -238,7 +238,7 @@ def _smooth(group: Group) -> Outlines | None:
 
 
 Sample = Callable[[Any, Any, Any], tuple[Any, Any, Any]]
-"""(slot, node, point) -> coordinates in radii of the launch disk, and share of its area."""
+"""(slot, node, point) -> coordinates in radii of the launch disk, and fraction of its area."""
 
 
 def _sample(
@@ -264,13 +264,13 @@ def _through(
     wavelength_nm: FloatArray,
     of: Callable[[Any], Any] = lambda v: v,
 ) -> Sample:
-    """Points whose shares hold the transmission of their rays, or its root; it has no derivatives."""
+    """Points whose fractions are multiplied by the transmission of their rays, or by its root, without derivatives."""
 
     def passed(slot: Any, node: Any, point: Any) -> tuple[Any, Any, Any]:
-        px, py, area = sample(slot, node, point)
+        px, py, fraction = sample(slot, node, point)
         rays = dr.detach(px), dr.detach(py)
         transmission = kernel.ray_transmission(*rays, slot, node, wavelength_nm, part.astype(np.uint32))
-        return px, py, area if transmission is None else area * of(transmission)
+        return px, py, fraction if transmission is None else fraction * of(transmission)
 
     return passed
 
@@ -389,14 +389,14 @@ def _splat(
     star_time = star * scene.times + node // colours
     wave = dr.gather(F, uploaded(F, wavelength_nm), colour)
     bundle = scene.bundle(total)
-    px, py, area = sample(slot, node, point)
+    px, py, fraction = sample(slot, node, point)
     rays = scene.trace(bundle, scene.light, star_time, px, py, wave)
     pitch, (cx, cy) = camera.pixel_pitch_mm, camera.centre_px
     x, y = float(cx) + rays.x * (1.0 / pitch), float(cy) - rays.y * (1.0 / pitch)
     toward = dr.gather(F, scene.light[2], star_time) * dr.gather(F, scene.weight, star_time)
     area = np.pi * exposure_s * dr.square(bundle.disk[3])
     light = dr.gather(F, rate, star * (bands * colours) + colour) * dr.gather(F, response, colour)
-    light = light * toward * area * area
+    light = light * toward * area * fraction
     sigma = camera.blur_px
     columns, rows = (gaussian_weights(scene.F, scene.I, v + 0.5, sigma, PIXEL_REACH) for v in (x, y))
     sensitive = camera.sensitive_columns
@@ -548,7 +548,7 @@ def _plane_waves(
     (ox, rx, ux), (oy, ry, uy) = ([dr.gather(F, v, 3 * lane + k) for k in range(3)] for v in (rays.dx, rays.dy))
     slot, node, point, star, wave = lane_indices(lane)
     bundle = scene.bundle(total)
-    px, py, area = sample(slot, node, point)
+    px, py, fraction = sample(slot, node, point)
     pitch, (cx, cy) = scene.camera.pixel_pitch_mm, scene.camera.centre_px
     theta: Any = bundle.theta
     before, behind = (
@@ -563,7 +563,7 @@ def _plane_waves(
     x = float(cx) + x * (1.0 / pitch) - dr.gather(F, uploaded(F, middle[:, 0]), slot)
     y = float(cy) - y * (1.0 / pitch) - dr.gather(F, uploaded(F, middle[:, 1]), slot)
     fx, fy = ox * per_px, -oy * per_px
-    return WaveLanes(path * (1e6 / wave) - fx * x - fy * y, fx, fy, area * dr.sqrt(jacobian) * per_px)
+    return WaveLanes(path * (1e6 / wave) - fx * x - fy * y, fx, fy, fraction * dr.sqrt(jacobian) * per_px)
 
 
 def _add(scene: AttachedTrace, image: Any, windows: list[Window], stamps: Any, bands: int) -> None:
