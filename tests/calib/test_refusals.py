@@ -1,14 +1,16 @@
 """What calib refuses: kind of error, and the name, value or range that its message of one line holds."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from calibration_scene import CAMERA, DISTORTION, GEOMETRY, START, Scene, make_scene
 from scipy.spatial.transform import Rotation
+from star_images import NOISE, frame_of, gaussian_epsf, gaussian_stars, image_of, stamps_of
 
 from calib import Calibration, Observations, Polynomial, SensorGeometry, calibrate, solve_wahba
 from calib.accuracy import distortion, ecss_metrics
@@ -38,12 +40,38 @@ from calib.cameras.brown_conrady import BrownConrady
 from calib.cameras.fit import fit_to_map
 from calib.cameras.line_of_sight import line_of_sight_map
 from calib.cameras.per_band import PerBand
+from calib.detector.fixed_pattern import fixed_pattern
+from calib.detector.hot_pixels import find_hot_pixels, without_pixels
+from calib.detector.mean_frame import mean_frame
+from calib.detector.photon_transfer import PhotonTransfer, flat_photon_transfer
+from calib.detector.sky_photon_transfer import sky_blocks, sky_photon_transfer
+from calib.detector.window_photon_transfer import window_photon_transfer
 from calib.directional.fisher import concentration_from_deficit, fit_fisher, sample_fisher
 from calib.directional.fisher_checks import exponential_check, fisher_outliers, isotropy_check
 from calib.fitting.least_squares import DenseProblem, solve
 from calib.fitting.robust_loss import get_loss
 from calib.fitting.solution import Solution
-from optics.errors import ConfigError, DomainError
+from calib.measure.background import estimate_background
+from calib.measure.centroid_error.cramer_rao_bound import cramer_rao, flux_for_snr
+from calib.measure.centroid_error.prediction import predict_centroids
+from calib.measure.centroiders.epsf import EpsfCentroider
+from calib.measure.centroiding.registry import get_centroider, register_centroider
+from calib.measure.detection.false_alarms import threshold_for_false_alarms
+from calib.measure.detection.matched_filter import detect, detection_noise
+from calib.measure.epsf.build import build_epsf
+from calib.measure.find import find_stars
+from calib.measure.images.sensor_image import sensor_image, subtract_dark
+from calib.measure.stamps import extract_stamps
+from calib.measure.statistics.separability import separability
+from calib.measure.targets.circle_edge import sample_spokes
+from calib.measure.targets.circle_fit import fit_circle
+from calib.measure.targets.screen_circles import ScreenPicture, fit_spot
+from calib.measure.targets.target_points import match_points
+from calib.photometry.zero_point import fit_photometry
+from calib.psf.focus_tilt import fit_detector_pose
+from calib.psf.gaussian_mixture import StarWindows, fit_psf
+from calib.records import NoiseModel
+from optics.errors import ConfigError, ConvergenceError, DomainError
 
 Row = tuple[str, Callable[[], Any], type[Exception], list[str]]
 NAN, ONE = np.nan, Rotation.identity()
@@ -483,7 +511,190 @@ ACCURACY = [
     ),
 ]
 
+# --- records and measure
+
+
+def stars_of(name: str, **options: Any) -> Callable[[], Any]:
+    if name == "epsf":
+        options["epsf"] = gaussian_epsf(0.7)
+    return lambda: get_centroider(name, **options)
+
+
+class Undecorated:
+    name, label, needs_epsf, measure = "u", "u", False, None
+
+
+def centroider(**change: Any) -> Callable[[], Any]:
+    """A class of a user with one fault."""
+    given = {"name": "user", "label": "user", "needs_epsf": False, "measure": None} | change
+    members = {key: value for key, value in given.items() if key not in change or value is not None}
+    return lambda: register_centroider(dataclass(frozen=True)(type("User", (), members)))
+
+
+def epsf(psf: Any, index: int = 0) -> Callable[[], Any]:
+    return lambda: EpsfCentroider(epsf=psf).measure(replace(WINDOWS.select([0]), psf_index=[index]), NOISE)
+
+
+def built(**options: Any) -> Callable[[], Any]:
+    return lambda: build_epsf(WINDOWS, NOISE, **options)
+
+
+def matched(rows: Any) -> Callable[[], Any]:
+    nominal = 40.0 * np.indices((3, 4)).reshape(2, -1).T
+    words = {"match_px": 4.0, "where": "here", "unseen": "expose longer", "merged": "move apart"}
+    return lambda: match_points(nominal[rows], nominal, **words)
+
+
+def dark_screen() -> None:
+    camera = SimpleNamespace(
+        pitch_mm=0.01, to_pixel=lambda mm: mm / 0.01 + 100.0, to_screen=lambda px: 0.01 * (px - 100.0)
+    )
+    aperture = fit_circle(0.4 * np.column_stack([np.cos([0, 1, 3, 5]), np.sin([0, 1, 3, 5])]))
+    fit_spot(ScreenPicture(electrons=np.zeros((201, 201)), camera=camera), aperture, 0.7, advice="more light")
+
+
+GAIN = {"gain_dn_per_e": 1.0, "offset_dn": 0.0, "read_noise_e": 1.0}
+IMAGE = image_of(np.random.default_rng(1).normal(100.0, 3.0, (64, 64)))
+WINDOWS = stamps_of(1e4 * gaussian_stars(np.full(12, 5.0), np.full(12, 5.0), 0.7), np.full(12, 5.0), np.full(12, 5.0))
+LINE = np.column_stack([np.arange(10.0), 2 * np.arange(10.0)])
+RECORDS = [
+    domain("read noise", lambda: NoiseModel(read_noise_e=-1.0), "read_noise_e = -1.0 e-"),
+    domain("read noise: NaN", lambda: NoiseModel(read_noise_e=NAN), "read_noise_e = nan"),
+    domain("gain", lambda: NoiseModel(read_noise_e=1.0, gain_dn_per_e=0.0), "gain_dn_per_e = 0.0 DN/e-"),
+    domain("offset", lambda: NoiseModel(read_noise_e=1.0, offset_dn=np.inf), "offset_dn = inf"),
+    domain("windows", lambda: stamps_of(np.zeros((1, 2, 2)), [1.0], [1.0]), "(2, 2) px", "at least 3 x 3"),
+]
+MEASURE = [
+    domain("background: nothing", lambda: estimate_background(image_of(np.full((32, 32), NAN))), "no usable pixel"),
+    domain("background: box", lambda: estimate_background(IMAGE, box_px=2), "box_px = 2 px", "at least 8 px"),
+    domain("background: clipping", lambda: estimate_background(IMAGE, clip_sigma=1.0), "clip_sigma = 1.0"),
+    domain("background: mask", lambda: estimate_background(IMAGE, exclude=np.zeros((3, 3), bool)), "exclude has shape"),
+    domain("background: step", lambda: estimate_background(IMAGE, step_px=0), "step_px = 0"),
+    domain("background: cell", lambda: estimate_background(IMAGE, step_px=16), "box_px = 64 px", "so 128 px"),
+    domain("detection: limit", lambda: detect(IMAGE, threshold_sigma=0.0), "threshold_sigma = 0.0"),
+    domain("detection: filter", lambda: detect(IMAGE, fwhm_px=0.1), "fwhm_px = 0.1 px", "0.5 to 20 px"),
+    domain("detection: number", lambda: detect(IMAGE, max_stars=-1), "max_stars = -1"),
+    domain("detection: background", lambda: detect(IMAGE, estimate_background(image_of(np.ones((9, 9))))), "(9, 9) px"),
+    domain("alarms", lambda: threshold_for_false_alarms(1e9, 10_000), "1e+09 false alarms", "between 0 and"),
+    domain("alarms of an image", lambda: detection_noise(IMAGE).threshold(1e9), "1e+09 false alarms", "between 0 and"),
+    config("find: centroider", lambda: find_stars(IMAGE, "window"), "did you mean windowed"),
+    domain("find: dimensions", lambda: find_stars(np.zeros(64)), "shape (64,)", "two dimensions"),
+    *(
+        domain(f"window of {size} px", lambda s=size: find_stars(IMAGE, size_px=s), f"size_px = {size}", words)
+        for size, words in ((4, "odd"), (1, "at least 3"), (65, "larger than the image"))
+    ),
+    domain("stamps: NaN", lambda: extract_stamps(IMAGE, [9.0, NAN], [9.0, 9.0], background=0.0), "star 1 is (nan"),
+    domain("stamps: counts", lambda: extract_stamps(IMAGE, [9.0, 8.0], [9.0], background=0.0), "equal length"),
+    domain("image: nothing", lambda: sensor_image(np.full((10, 10), NAN)), "no finite number"),
+    domain("image: masked", lambda: sensor_image(np.ma.masked_all((9, 9))), "no unmasked pixel"),
+    domain("image: noise", lambda: sensor_image(np.zeros((10, 10)), read_noise_e=-2.0), "read_noise_e = -2"),
+    domain("image: defects", lambda: sensor_image(np.zeros((9, 9)), defect=np.zeros((3, 3), bool)), "defect has shape"),
+    domain("dark", lambda: subtract_dark(frame_of(np.zeros((9, 9)), **GAIN), np.zeros((3, 3))), "shape (3, 3)"),
+    config("centroider", stars_of("gausian"), "did you mean gaussian"),
+    config("centroider: option", stars_of("cog", half_width=3), "did you mean half_width_px"),
+    config("centroider: PSF", lambda: get_centroider("epsf"), "needs epsf=", "build_epsf"),
+    domain("centroider: width", stars_of("tcog", half_width_px=0), "half_width_px = 0 px; it must be at least 1"),
+    domain("centroider: threshold", stars_of("tcog", threshold_sigma=-1.0), "threshold_sigma = -1.0"),
+    domain("centroider: window", stars_of("windowed", sigma_px=0.0), "sigma_px = 0.0 px; it must be above 0 px"),
+    *(
+        domain(f"{name}: {option}", stars_of(name, **{option: value}), f"{option} = {value}")
+        for name in ("gaussian", "epsf")
+        for option, value in (("max_iterations", 0), ("tolerance", NAN), ("max_shift_px", -1.0))
+    ),
+    config("new centroider: name", centroider(name="cog"), "belongs to CentreOfGravity"),
+    config("new centroider: members", centroider(label=None, measure=None), "no label and no measure"),
+    config("new centroider: PSF", centroider(needs_epsf=True), "no field epsf"),
+    config("new centroider: class", lambda: register_centroider(Undecorated), "must be a dataclass"),
+    domain("ePSF: index", epsf(gaussian_epsf(0.7), 3), "psf_index spans 3 to 3"),
+    domain("ePSF: sampling", epsf([gaussian_epsf(0.7, 4), gaussian_epsf(0.7, 5)]), "oversamplings [4, 5] differ"),
+    domain("ePSF: none", epsf([]), "no EffectivePsf"),
+    domain("build: stars", built(), "12 usable stars", "at least 16"),
+    domain("build: half an index", built(star_index=np.arange(12)), "belong together"),
+    domain("build: index", built(oversampling=2, star_index=[0, 1], frame_index=[0, 1]), "12 integers"),
+    domain("build: sampling", built(oversampling=0), "oversampling = 0", "1 to 16"),
+    domain("build: roughness", built(roughness=0.0), "roughness = 0.0"),
+    domain("build: positions", built(position_px=np.zeros((3, 2))), "position_px has shape (3, 2)"),
+    domain("build: both", built(position_px=np.zeros((12, 2)), star_index=[0], frame_index=[0]), "give either"),
+    domain("bound", lambda: cramer_rao(lambda p: np.full(9, p[0] + p[1]), [1.0, 2.0], NOISE), "do not determine"),
+    domain("SNR", lambda: flux_for_snr(np.ones((3, 3)) / 9, -1.0, 0.0, NOISE), "snr = -1"),
+    config("threshold", lambda: predict_centroids("tcog", (gaussian_epsf(0.8),), [300.0], noise=NOISE), "noise level"),
+    domain("spokes", lambda: sample_spokes(np.zeros((9, 9)), [4, 4], np.arange(9.0), spokes=3), "at least 8 spokes"),
+    domain("radii", lambda: sample_spokes(np.zeros((9, 9)), [4, 4], [1.0, 2.0, 2.0, 3.0, 4.0]), "increasing radii"),
+    domain("circle: few", lambda: fit_circle(np.zeros((3, 2))), "shape (3, 2)", "at least 4 points"),
+    domain("circle: columns", lambda: fit_circle(np.zeros((10, 3))), "shape (10, 3)"),
+    domain("circle: a point", lambda: fit_circle(np.ones((10, 2))), "coincide"),
+    domain("circle: a line", lambda: fit_circle(LINE), "on a line"),
+    domain("circle: NaN", lambda: fit_circle(np.full((10, 2), NAN)), "not finite"),
+    domain("circle: sigma", lambda: fit_circle(LINE**2, sigma=0.0), "sigma of an edge point is 0", "positive"),
+    ("dark screen", dark_screen, ConvergenceError, ["the spot shows only", "more light"]),
+    domain("target: dark", matched(slice(0)), "here: no target point", "expose longer"),
+    domain("target: a point", matched(slice(1, None)), "1 of 12", "column 0.0, row 0.0"),
+    domain("separability", lambda: separability(np.zeros((5, 4)), np.zeros(5, int), np.zeros(5, int)), "both kinds"),
+]
+
+# --- photometry, psf, detector
+
+
+def photometry(count: int) -> Any:
+    row = {key: np.ones(count) for key in ("magnitude", "colour", "u2", "flux_e")}
+    return fit_photometry(**row, frame=np.zeros(count, int), frames=1, flux_error_e=0.01 * np.ones(count))
+
+
+def mixture(count: int) -> Any:
+    column, index = np.zeros((count, 2)), np.zeros(count, int)
+    pixels = {"dn": np.zeros((count, 9, 9)), "valid": np.ones((count, 9, 9), bool), "level_dn": np.zeros(count)}
+    windows = StarWindows(offset_px=column, position_px=column, colour=index, frame=index, star=index, **pixels)
+    return fit_psf(windows, (99, 99), noise_dn2=(0.1, 1.0), width_px=0.65)
+
+
+def focus(count: int) -> Any:
+    grid = {"grid_px": np.zeros((4, 2)), "grid_width_px": np.ones((3, 4)), "centre_px": np.zeros(2), "pitch_mm": 5e-3}
+    return fit_detector_pose(np.zeros((count, 2)), np.ones(count), shift_mm=np.arange(3.0), **grid)
+
+
+def sky(*masks: Any) -> Callable[[], Any]:
+    noise = np.random.default_rng(1).standard_normal((len(masks), 128, 128))
+    blocks = [sky_blocks(100.0 + dn, mask) for dn, mask in zip(noise, masks, strict=True)]
+    return lambda: sky_photon_transfer(blocks, lowest_dn=100.0)
+
+
+LEFT, ALL = np.indices((128, 128))[1] < 64, np.ones((128, 128), bool)
+FRAMES = 100.0 + np.random.default_rng(2).standard_normal((4, 8, 8))
+MEAN, SINGLE, ONE_PIXEL = mean_frame(FRAMES), mean_frame(FRAMES[:1]), np.eye(1, 64).reshape(8, 8)
+TRANSFER = PhotonTransfer(
+    gain_dn_per_e=1.0, gain_error_dn_per_e=0.1, read_noise_e=1.0, read_noise_error_e=0.1, pixels=64
+)
+DETECTOR = [
+    domain("no frame", lambda: mean_frame([]), "no frame", "at least one"),
+    domain("frames of two sizes", lambda: mean_frame([FRAMES[0], FRAMES[0, 1:]]), "frame 1 has the shape (7, 8)"),
+    *(
+        domain(f"transfer of {name}", lambda f=flats, d=dark: flat_photon_transfer(f, d), "two frames", "two darks")
+        for name, flats, dark in (("no flat", [], MEAN), ("a flat", [SINGLE], MEAN), ("a dark", [MEAN], SINGLE))
+    ),
+    domain(
+        "transfer of a pixel", lambda: flat_photon_transfer([MEAN], MEAN, usable=np.eye(1, 64).reshape(8, 8)), "1 p"
+    ),
+    domain("pattern", lambda: fixed_pattern(MEAN, SINGLE, TRANSFER), "4 flats and 1 darks", "two of each"),
+    domain("hot pixels", lambda: find_hot_pixels([]), "no frames", "at least one"),
+    domain("hot pixels: sizes", lambda: find_hot_pixels([IMAGE, image_of(np.ones((20, 30)))]), "(20, 30) px"),
+    domain("hot pixels: mask", lambda: without_pixels(IMAGE, np.zeros((3, 3), bool)), "mask has shape (3, 3)"),
+    domain("sky: size", lambda: sky_blocks(np.zeros((32, 64)), np.zeros((32, 64))), "64 x 32 px", "64 x 64"),
+    domain("sky: one level", sky(~ALL, ~ALL), "the gain is not determined"),
+    domain("sky: stars everywhere", sky(ALL, ALL), "free of stars"),
+    domain("sky: no common block", sky(LEFT, ~LEFT), "fewer than two blocks"),
+    domain("windows", lambda: window_photon_transfer([np.ones((3, 1, 2, 2))], [ALL[None, :2, :2]]), "4 pixels", "30"),
+]
+STARS_OF_FRAMES = [
+    domain("photometry", lambda: photometry(12), "12 stars with a flux", "needs 20"),
+    domain("PSF", lambda: mixture(20), "20 bright", "the PSF needs 25"),
+    domain("focus and tilt", lambda: focus(9), "9 bright stars", "need 30"),
+]
+
 ROOMS = {
+    "records": RECORDS,
+    "measure": MEASURE,
+    "detector": DETECTOR,
+    "photometry, psf": STARS_OF_FRAMES,
     "attitude": ATTITUDE,
     "cameras": CAMERAS,
     "fitting": FITTING,

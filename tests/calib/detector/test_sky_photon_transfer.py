@@ -14,7 +14,6 @@ from calib.detector.sky_photon_transfer import (
     sky_photon_transfer,
     tail_fraction,
 )
-from optics.errors import DomainError
 
 GAIN_E_PER_DN, READ_E, DSNU_DN, PRNU = 2.5, 4.0, 1.2, 0.01
 
@@ -77,12 +76,6 @@ def test_a_stated_black_level_makes_the_read_noise_a_number():
     assert abs(found.gain_e_per_dn - GAIN_E_PER_DN) < 4.0 * found.gain_error_e_per_dn
 
 
-def test_frames_of_one_level_tell_no_gain():
-    flat = [np.full((256, 256), 100.0) + np.random.default_rng(k).standard_normal((256, 256)) for k in range(2)]
-    with pytest.raises(DomainError, match="the gain is not determined"):
-        measured(flat)
-
-
 @pytest.mark.parametrize("nights", [25, pytest.param(250, marks=pytest.mark.slow)])
 def test_gain_and_pattern_have_the_errors_that_they_state(nights):
     """Small frames, 20 blocks each: what clipping and the subtracted surface take from the pattern is given back."""
@@ -99,15 +92,6 @@ def test_gain_and_pattern_have_the_errors_that_they_state(nights):
         )
     np.testing.assert_allclose(np.mean(pulls, axis=0), 0.0, atol=4.0 / np.sqrt(nights))
     np.testing.assert_allclose(np.sqrt(np.mean(np.square(pulls), axis=0)), 1.0, atol=4.0 / np.sqrt(2 * nights))
-
-
-def test_frames_without_a_common_block_are_refused():
-    """Stars cover the left half of one frame and the right half of the other."""
-    left = np.indices((128, 128))[1] < 64
-    first, second = sky_frames([200.0, 400.0], shape=(128, 128))
-    frames = [sky_blocks(first, left), sky_blocks(second, ~left)]
-    with pytest.raises(DomainError, match="fewer than two blocks"):
-        sky_photon_transfer(frames, lowest_dn=100.0)
 
 
 def test_warm_pixels_are_a_lognormal_current_and_tails_are_counted():

@@ -1,26 +1,14 @@
 import numpy as np
 import pytest
+from star_images import gaussian_stars, image_of, noisy
 
 from calib.measure.background import estimate_background
-from calib.records import NoiseModel, SensorImage
-from optics.errors import DomainError
-
-
-def image_of(electrons, noise=None, **masks):
-    shape = electrons.shape
-    return SensorImage(
-        dn=np.nan_to_num(electrons),
-        valid=masks.get("valid", np.isfinite(electrons)),
-        saturated=masks.get("saturated", np.zeros(shape, bool)),
-        noise=noise or NoiseModel(read_noise_e=5.0),
-        source="test",
-    )
+from calib.records import NoiseModel
 
 
 def test_flat_sky_level_and_noise():
     """Mean and standard deviation of N normal numbers: standard errors sigma/sqrt(N), sigma/sqrt(2N) (5 sigma)."""
-    rng = np.random.default_rng(1)
-    electrons = rng.poisson(20.0, (512, 512)) + rng.normal(0, 5.0, (512, 512))
+    electrons = noisy(np.full((512, 512), 20.0), 5.0, np.random.default_rng(1))
     background = estimate_background(image_of(electrons))
     true_sigma, n = np.sqrt(45.0), electrons.size
     assert background.level_e.mean() == pytest.approx(20.0, abs=5 * true_sigma / np.sqrt(n))
@@ -30,9 +18,8 @@ def test_flat_sky_level_and_noise():
 
 def test_level_is_the_expectation_where_dn_are_coarse():
     """With 0.1 DN/e- the noise is 0.7 DN: a median would be wrong by up to half a DN = 5 e-."""
-    rng = np.random.default_rng(2)
     noise = NoiseModel(read_noise_e=5.0, gain_dn_per_e=0.1, offset_dn=100.0, quantised=True)
-    electrons = rng.poisson(23.0, (256, 256)) + rng.normal(0, 5.0, (256, 256))
+    electrons = noisy(np.full((256, 256), 23.0), 5.0, np.random.default_rng(2))
     background = estimate_background(image_of(np.rint(100.0 + 0.1 * electrons), noise))
     assert background.level_e.mean() == pytest.approx(23.0, abs=0.3)
 
@@ -49,13 +36,13 @@ def test_gradient_is_followed():
     assert abs(error.mean()) < 5 * 5.0 / np.sqrt(error.size)
 
 
-def test_stars_hardly_raise_the_level(sky):
+def test_stars_hardly_raise_the_level():
     rng = np.random.default_rng(4)
     electrons = np.full((256, 256), 30.0)
     for _ in range(60):
         x, y = rng.integers(10, 246, 2)
-        electrons[y - 5 : y + 6, x - 5 : x + 6] += 2e4 * sky.gaussian([5.0], [5.0], 1.0)[0]
-    background = estimate_background(image_of(sky.noisy(electrons, 5.0, rng)))
+        electrons[y - 5 : y + 6, x - 5 : x + 6] += 2e4 * gaussian_stars([5.0], [5.0], 1.0)[0]
+    background = estimate_background(image_of(noisy(electrons, 5.0, rng)))
     assert background.level_e.mean() == pytest.approx(30.0, abs=0.1)
     assert background.sigma_e.mean() == pytest.approx(np.sqrt(55.0), rel=0.02)
 
@@ -80,20 +67,6 @@ def test_small_and_odd_shapes(shape):
     assert np.allclose(background.level_at([0.0], [0.0]), 7.0)
 
 
-def test_input_is_not_changed_and_nonsense_is_refused():
-    electrons = np.full((32, 32), np.nan)
-    with pytest.raises(DomainError, match="no usable pixel"):
-        estimate_background(image_of(electrons))
-    good = image_of(np.ones((32, 32)))
-    before = good.dn.copy()
-    estimate_background(good)
-    assert np.array_equal(good.dn, before)
-    with pytest.raises(DomainError, match="box_px = 2 px"):
-        estimate_background(good, box_px=2)
-    with pytest.raises(DomainError, match="exclude has shape"):
-        estimate_background(good, exclude=np.zeros((3, 3), bool))
-
-
 def test_a_part_of_the_pixels_gives_the_same_mesh_where_it_belongs():
     """A gradient seen by every fourth pixel of a cell: 1024 of them, 5 standard errors, and centres within 1.5 px."""
     rng = np.random.default_rng(5)
@@ -106,19 +79,13 @@ def test_a_part_of_the_pixels_gives_the_same_mesh_where_it_belongs():
     spread = np.sqrt(3.0**2 + (slope * 128) ** 2 / 12)
     assert np.abs(part.level_e - whole.level_e).max() < 5 * spread / 32 + 1.5 * slope
     assert np.abs(part.sigma_e / whole.sigma_e - 1).max() < 5 / np.sqrt(2 * 1024)
-    with pytest.raises(DomainError, match="step_px = 0"):
-        estimate_background(image, step_px=0)
-    with pytest.raises(DomainError, match=r"box_px = 64 px; .* step_px = 16, so 128 px"):
-        estimate_background(image, step_px=16)
 
 
 @pytest.mark.parametrize(("mean", "sigma"), [(50.3, 0.25), (50.3, 0.5), (0.3, 1.0), (-1.0, 3.0)])
 def test_whole_numbers_cut_off_at_zero(mean, sigma):
     """Level and noise are those of the numbers as they are: 4 statistical errors, and 2.5 % for what is left out."""
     dn = np.clip(np.rint(np.random.default_rng(1).normal(mean, sigma, (256, 256))), 0.0, 255.0)
-    everything = np.ones(dn.shape, bool)
-    noise = NoiseModel(read_noise_e=1.0, quantised=True)
-    sky = estimate_background(SensorImage(dn=dn, valid=everything, saturated=~everything, noise=noise))
+    sky = estimate_background(image_of(dn, NoiseModel(read_noise_e=1.0, quantised=True)))
     assert sky.sigma_e.mean() == pytest.approx(dn.std(), rel=0.025 + 4.0 / np.sqrt(2.0 * dn.size))
     assert sky.level_e.mean() == pytest.approx(dn.mean(), abs=0.05 * max(dn.std(), 0.5) + 0.08 * (sigma < 0.4))
 

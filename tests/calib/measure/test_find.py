@@ -4,14 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from star_images import frame_of, noisy, star_field
 
 from calib.flags import StarFlag, has_flag
 from calib.measure.detection.matched_filter import detect
 from calib.measure.find import find_stamps, find_stars
 from calib.measure.images.sensor_image import sensor_image
 from calib.records import NoiseModel
-from optics.errors import ConfigError, DomainError
-from render.records import Frame
 
 SHAPE = (160, 220)
 READ_NOISE_E, SKY_E = 5.0, 40.0
@@ -27,12 +26,9 @@ def place():
 
 
 @pytest.fixture(scope="module")
-def electrons(sky, place):
+def electrons(place):
     """20000 e- each, sigma 1 px, on an even sky, with shot and read noise."""
-    expected = np.full(SHAPE, SKY_E)
-    for x, y in zip(*place, strict=True):
-        expected += 2e4 * sky.gaussian([x], [y], 1.0, *SHAPE)[0]
-    return sky.noisy(expected, READ_NOISE_E, np.random.default_rng(6))
+    return noisy(SKY_E + star_field(*place, 2e4, 1.0, SHAPE), READ_NOISE_E, np.random.default_rng(6))
 
 
 def rms_error_px(stars, place):
@@ -63,18 +59,7 @@ def test_the_likelihood_fit_of_a_plain_array_reaches_the_photon_bound(electrons,
 
 def test_digital_numbers_a_frame_and_an_image_give_the_same_stars(electrons, place):
     dn = np.clip(np.rint(electrons * GAIN_DN_PER_E + OFFSET_DN), 0, 65535).astype(np.uint16)
-    nothing = np.zeros(SHAPE, bool)
-    frame = Frame(
-        dn=dn,
-        saturated=nothing,
-        defect=nothing,
-        gain_dn_per_e=GAIN_DN_PER_E,
-        offset_dn=OFFSET_DN,
-        read_noise_e=READ_NOISE_E,
-        exposure_s=0.1,
-        band="open",
-        index=0,
-    )
+    frame = frame_of(dn, gain_dn_per_e=GAIN_DN_PER_E, offset_dn=OFFSET_DN, read_noise_e=READ_NOISE_E)
     image = sensor_image(dn, gain_dn_per_e=GAIN_DN_PER_E, offset_dn=OFFSET_DN, read_noise_e=READ_NOISE_E)
     one, two, plain = (find_stars(each, "gaussian") for each in (frame, image, dn))
     assert np.array_equal(one.x_px, two.x_px)
@@ -95,11 +80,9 @@ def test_windows_start_at_the_detections_and_hand_their_flags_on(electrons):
     assert np.round(stamps.start_px[spike]).tolist() == [[100.0, 80.0]]
 
 
-def test_the_brightest_come_first_and_few_on_demand(sky):
-    expected = np.full(SHAPE, SKY_E)
-    for x, flux in ((30, 2e3), (80, 2e4), (130, 6e3)):
-        expected += flux * sky.gaussian([float(x)], [70.0], 1.0, *SHAPE)[0]
-    image = sky.noisy(expected, READ_NOISE_E, np.random.default_rng(1))
+def test_the_brightest_come_first_and_few_on_demand():
+    light = star_field([30.0, 80.0, 130.0], [70.0] * 3, [2e3, 2e4, 6e3], 1.0, SHAPE)
+    image = noisy(SKY_E + light, READ_NOISE_E, np.random.default_rng(1))
     assert np.round(find_stars(image).x_px).tolist() == [80.0, 130.0, 30.0]
     assert np.round(find_stars(image, max_stars=2).x_px).tolist() == [80.0, 130.0]
 
@@ -108,15 +91,6 @@ def test_nothing_found_is_an_empty_table_of_all_columns():
     stars = find_stars(np.random.default_rng(3).normal(10.0, 2.0, (64, 64)), threshold_sigma=8.0)
     assert len(stars) == 0
     assert stars.covariance.shape == (0, 3, 3)
-
-
-def test_what_is_wrong_is_told_before_the_work():
-    with pytest.raises(ConfigError, match="did you mean windowed"):
-        find_stars(np.zeros((64, 64)), "window")
-    with pytest.raises(DomainError, match="two dimensions"):
-        find_stars(np.zeros(64))
-    with pytest.raises(DomainError, match="size_px = 4"):
-        find_stars(np.zeros((64, 64)), size_px=4)
 
 
 def test_pixels_that_a_masked_array_hides_are_not_measured(electrons, place):

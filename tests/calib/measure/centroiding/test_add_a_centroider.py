@@ -7,6 +7,7 @@ import re
 import shlex
 import sys
 from pathlib import Path
+from typing import get_type_hints
 
 import numpy as np
 import pytest
@@ -102,11 +103,11 @@ def test_every_configuration_takes_the_name(followed):
     others = [("hsfe", "--set centroid="), ("distortion", "--set centroid="), ("budget", "--set centroid=")]
     others += [("skycal", "--set centroid=")]
     for name, text in [*COMMANDS, *((name, text + followed) for name, text in others)]:
-        module = importlib.import_module(f"experiments.{name}.settings")
+        settings = get_type_hints(importlib.import_module(f"experiments.{name}.experiment").run)["config"]
         option, setting = shlex.split(text)
         assert option == "--set"
-        assert followed in str(load_config(module.Config, settings=[setting]).model_dump())
+        assert followed in str(load_config(settings, settings=[setting]).model_dump())
         with pytest.raises(ConfigError, match=f"did you mean {followed}"):
-            load_config(module.Config, settings=[setting.replace(followed, "fouriers")])
-        assert followed in str(module.Config.model_json_schema())
+            load_config(settings, settings=[setting.replace(followed, "fouriers")])
+        assert followed in str(settings.model_json_schema())
     assert MethodLabels()[followed] == "Fourier phase"

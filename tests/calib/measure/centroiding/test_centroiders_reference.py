@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from star_images import gaussian_epsf, gaussian_stars, noisy, stamps_of
 
 from calib.measure.centroiding.registry import get_centroider
 
@@ -9,11 +10,11 @@ pytestmark = pytest.mark.reference
 
 
 @pytest.fixture
-def stars(sky):
+def stars():
     rng = np.random.default_rng(21)
     x, y = 5.0 + rng.uniform(-0.5, 0.5, (2, 100))
-    electrons = sky.noisy(2e4 * sky.gaussian(x, y, 0.9) + 10.0, 5.0, rng)
-    return sky.stamps(electrons, x, y, background_e=10.0)
+    electrons = noisy(2e4 * gaussian_stars(x, y, 0.9) + 10.0, 5.0, rng)
+    return stamps_of(electrons, x, y, background_e=10.0)
 
 
 @pytest.mark.slow
@@ -41,18 +42,18 @@ def test_windowed_is_sep_winpos(stars, noise, sigma):
     assert np.median(np.abs(table.x_px - theirs[:, 0])) < 2e-4
 
 
-def test_likelihood_agrees_with_photutils_on_a_bright_star(sky, stars, noise):
+def test_likelihood_agrees_with_photutils_on_a_bright_star(stars, noise):
     """Same model, other optimiser and weights: positions differ by much less than their error."""
     psf = pytest.importorskip("photutils.psf")
     fitting = pytest.importorskip("astropy.modeling.fitting")
-    epsf = sky.epsf(0.9)
+    epsf = gaussian_epsf(0.9)
     table = get_centroider("epsf", epsf=epsf).measure(stars, noise)
     rows, columns = np.mgrid[:11, :11]
     for i in range(10):
         model = psf.ImagePSF(np.array(epsf.values), oversampling=epsf.oversampling)
         model.flux, model.x_0, model.y_0 = 2e4, *stars.start_px[i]
         expected = np.maximum(
-            stars.electrons[i] * 0 + 2e4 * sky.gaussian(*stars.start_px[i][:, None], 0.9)[0] + 10.0, 0
+            stars.electrons[i] * 0 + 2e4 * gaussian_stars(*stars.start_px[i][:, None], 0.9)[0] + 10.0, 0
         )
         weights = 1.0 / np.sqrt(expected + 25.0)
         fitted = fitting.TRFLSQFitter()(model, columns, rows, stars.electrons[i] - 10.0, weights=weights)

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from star_images import gaussian_stars
 
 from calib.measure.centroiding.moments import (
     FWHM_PER_SIGMA,
@@ -24,9 +25,9 @@ def test_full_width_at_half_maximum():
     assert np.exp(-0.5 * (0.5 * FWHM_PER_SIGMA) ** 2) == pytest.approx(0.5, abs=1e-9)
 
 
-def test_half_light_radius_of_a_gaussian(sky):
+def test_half_light_radius_of_a_gaussian():
     """Half the light of a Gaussian lies within 1.1774 sigma (sigma 2 px: the pixel adds 1/12 px^2)."""
-    light = sky.gaussian([15.0], [15.3], 2.0, height=31, width=31)
+    light = gaussian_stars([15.0], [15.3], 2.0, height=31, width=31)
     found = half_light_radius(light, np.array([15.0]), np.array([15.3]))[0]
     assert found == pytest.approx(1.1774 * np.sqrt(4.0 + 1.0 / 12.0), rel=0.02)
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from star_images import gaussian_stars, noisy, stamps_of
 
 from calib.flags import StarFlag, has_flag
 from calib.measure.centroid_error.cramer_rao_bound import cramer_rao
@@ -11,14 +12,14 @@ N = 800
 
 
 @pytest.fixture(scope="module")
-def measured(sky, noise):
+def measured(noise):
     """Places and table of N stars of a width and flux at random phases; starts are off by 0.1 px."""
 
     def measure(sigma_px, flux_e, count=N):
         rng = np.random.default_rng([round(1000 * sigma_px), int(flux_e)])
         x, y = 5.0 + rng.uniform(-0.5, 0.5, (2, count))
-        electrons = sky.noisy(flux_e * sky.gaussian(x, y, sigma_px) + 2.0, 5.0, rng)
-        stamps = sky.stamps(electrons, *(np.stack([x, y]) + rng.normal(0.0, 0.1, (2, count))), background_e=2.0)
+        electrons = noisy(flux_e * gaussian_stars(x, y, sigma_px) + 2.0, 5.0, rng)
+        stamps = stamps_of(electrons, *(np.stack([x, y]) + rng.normal(0.0, 0.1, (2, count))), background_e=2.0)
         return x, y, stamps, get_centroider("gaussian").measure(stamps, noise)
 
     return measure
@@ -35,12 +36,12 @@ def test_fits_end_and_their_covariance_holds_the_unknown_width(measured, sigma_p
     assert abs(pull.mean()) < 3.3 / np.sqrt(2 * N)
 
 
-def test_where_the_pixels_tell_the_width_the_bound_is_reached(sky, noise, measured):
+def test_where_the_pixels_tell_the_width_the_bound_is_reached(noise, measured):
     """sigma 0.3 px, 1e5 e-: the bound on a position with both widths free, by central differences of erf images."""
     x, y, _, table = measured(0.3, 1e5)
 
     def model(p):
-        along = [sky.gaussian([p[i]], [5.0], p[3 + i])[0].sum(axis=0) for i in (0, 1)]
+        along = [gaussian_stars([p[i]], [5.0], p[3 + i])[0].sum(axis=0) for i in (0, 1)]
         return p[2] * along[1][:, None] * along[0][None, :] + 2.0
 
     bound = np.mean([np.diagonal(cramer_rao(model, [x[i], y[i], 1e5, 0.3, 0.3], noise))[:2] for i in range(N // 4)])

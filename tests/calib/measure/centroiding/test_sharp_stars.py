@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from star_images import gaussian_stars, noisy, stamps_of
 
 from calib.flags import StarFlag, has_flag
 from calib.measure.centroiding.registry import get_centroider
@@ -9,41 +10,40 @@ from calib.measure.epsf.build import build_epsf
 from calib.measure.find import find_stars
 from calib.measure.images.sensor_image import sensor_image
 from calib.records import NoiseModel
-from optics.errors import DomainError
 
 NOISE = NoiseModel(read_noise_e=5.0)
 
 
-def measured(sky, components, flux_e, *, count=300, seed=1):
+def measured(components, flux_e, *, count=300, seed=1):
     """Pulls (2 n,) of Gaussian fits to sums of pixel-integrated Gaussians (weight, sigma), and the table."""
     rng = np.random.default_rng(seed)
     x, y = rng.uniform(4.5, 5.5, (2, count))
-    light = sum(weight * sky.gaussian(x, y, sigma, 11, 11) for weight, sigma in components)
+    light = sum(weight * gaussian_stars(x, y, sigma, 11, 11) for weight, sigma in components)
     electrons = rng.poisson(flux_e * light + 100.0) + rng.normal(0.0, 5.0, light.shape)
     start = np.column_stack([x, y]) + rng.normal(0.0, 0.1, (count, 2))
-    stamps = sky.stamps(electrons, *start.T, background_e=100.0)
+    stamps = stamps_of(electrons, *start.T, background_e=100.0)
     table = get_centroider("gaussian", fit_background=True).measure(stamps, NOISE)
     return np.concatenate([(table.x_px - x) / table.sigma_x_px, (table.y_px - y) / table.sigma_y_px]), table
 
 
 @pytest.mark.parametrize("sigma_px", [0.4, 0.5, 0.58, 0.8])
-def test_pixel_integrated_gaussian_has_no_s_curve(sky, sigma_px):
+def test_pixel_integrated_gaussian_has_no_s_curve(sigma_px):
     """Pulls of 1 within 4 / sqrt(2 N) at SNR 550, where an S-curve of 0.01 px would make them 3, and no flag."""
-    pull, table = measured(sky, [(1.0, sigma_px)], 3e5)
+    pull, table = measured([(1.0, sigma_px)], 3e5)
     assert np.sqrt(np.mean(pull**2)) == pytest.approx(1.0, abs=4.0 / np.sqrt(2.0 * len(pull)))
     assert has_flag(table.flags, StarFlag.PIXEL_PHASE).mean() < 0.01
 
 
 @pytest.mark.parametrize("flux_e", [3e4, 3e5])
-def test_sharp_core_is_flagged(sky, flux_e):
+def test_sharp_core_is_flagged(flux_e):
     """The PSF of eight real frames as three Gaussians: 12 % core, 74 % of 0.68 px, 14 % of 2.2 px."""
-    pull, table = measured(sky, [(0.12, 0.25), (0.74, 0.68), (0.14, 2.2)], flux_e)
+    pull, table = measured([(0.12, 0.25), (0.74, 0.68), (0.14, 2.2)], flux_e)
     assert np.sqrt(np.mean(pull**2)) > 1.7
     assert has_flag(table.flags, StarFlag.PIXEL_PHASE).mean() > 0.95
     assert table.fit.mean() > 0.95
 
 
-def test_nothing_has_no_flux_of_1e11(sky):
+def test_nothing_has_no_flux_of_1e11():
     """Ramps, single pixels, noise, stars next to the window: a flux or place that the pixels do not hold has a flag."""
     rng = np.random.default_rng(3)
     count = 400
@@ -51,8 +51,8 @@ def test_nothing_has_no_flux_of_1e11(sky):
     row = np.arange(11)
     electrons[:100] += (row**2 * rng.uniform(0.0, 30.0, (100, 1)))[:, None, :]
     electrons[100:200, 5, 5] += rng.uniform(50.0, 3000.0, 100)
-    electrons[200:300] += 3e4 * sky.gaussian(rng.uniform(10.5, 14.0, 100), rng.uniform(-3.0, 14.0, 100), 1.5, 11, 11)
-    stamps = sky.stamps(electrons, np.full(count, 5.0), np.full(count, 5.0), background_e=100.0)
+    electrons[200:300] += 3e4 * gaussian_stars(rng.uniform(10.5, 14.0, 100), rng.uniform(-3.0, 14.0, 100), 1.5, 11, 11)
+    stamps = stamps_of(electrons, np.full(count, 5.0), np.full(count, 5.0), background_e=100.0)
     for options in ({}, {"fit_background": True}, {"sigma_px": 0.6, "fit_background": True}):
         table = get_centroider("gaussian", **options).measure(stamps, NOISE)
         held = np.maximum(electrons - 100.0, 0.0).sum(axis=(1, 2))
@@ -76,15 +76,15 @@ def test_frames_with_structure_stay_within_the_frame():
     assert not outside.any()
 
 
-def test_psf_of_known_places_has_no_s_curve(sky):
+def test_psf_of_known_places_has_no_s_curve():
     """Sharp cores, no dithers: without places the S-curve of the Gaussian fit stays; with them pulls are 1."""
     rng = np.random.default_rng(2)
     x, y = rng.uniform(4.5, 5.5, (2, 300))
-    core = 0.12 * sky.gaussian(x, y, 0.25, 11, 11) + 0.74 * sky.gaussian(x, y, 0.68, 11, 11)
+    core = 0.12 * gaussian_stars(x, y, 0.25, 11, 11) + 0.74 * gaussian_stars(x, y, 0.68, 11, 11)
     flux = 1e5 * 10 ** rng.uniform(-1.0, 0.0, 300)
-    expected = flux[:, None, None] * (core + 0.14 * sky.gaussian(x, y, 2.2, 11, 11)) + 100.0
+    expected = flux[:, None, None] * (core + 0.14 * gaussian_stars(x, y, 2.2, 11, 11)) + 100.0
     start = np.column_stack([x, y]) + rng.normal(0.0, 0.1, (300, 2))
-    stamps = sky.stamps(sky.noisy(expected, 5.0, rng), *start.T, background_e=100.0)
+    stamps = stamps_of(noisy(expected, 5.0, rng), *start.T, background_e=100.0)
     held = build_epsf(stamps, NOISE, oversampling=4, roughness=0.1, position_px=np.column_stack([x, y]))
     free = build_epsf(stamps, NOISE, oversampling=4, roughness=0.1)
     pull = [np.std((found.stars.x_px - x) / found.stars.sigma_x_px) for found in (held, free)]
@@ -94,14 +94,10 @@ def test_psf_of_known_places_has_no_s_curve(sky):
     assert not held.message
 
 
-def test_psf_says_why_it_did_not_converge(sky):
+def test_psf_says_why_it_did_not_converge():
     rng = np.random.default_rng(3)
     x, y = rng.uniform(4.5, 5.5, (2, 40))
-    light = sky.noisy(1e4 * sky.gaussian(x, y, 0.6, 11, 11) + 100.0, 5.0, rng)
-    stamps = sky.stamps(light, x, y, background_e=100.0)
+    light = noisy(1e4 * gaussian_stars(x, y, 0.6, 11, 11) + 100.0, 5.0, rng)
+    stamps = stamps_of(light, x, y, background_e=100.0)
     found = build_epsf(stamps, NOISE, oversampling=2, max_iterations=1, tolerance=1e-6)
     assert "after 1 rounds: 40 stars for 4 phases" in found.message
-    with pytest.raises(DomainError, match="position_px has shape"):
-        build_epsf(stamps, NOISE, position_px=np.zeros((3, 2)))
-    with pytest.raises(DomainError, match="give either"):
-        build_epsf(stamps, NOISE, position_px=np.zeros((40, 2)), star_index=x.astype(int), frame_index=x.astype(int))

@@ -6,7 +6,6 @@ from scipy.special import erf
 
 from calib.measure.targets.circle_edge import edge_crossings, sample_spokes
 from calib.measure.targets.circle_fit import fit_circle
-from optics.errors import DomainError
 
 
 def disk(centre, radius, soft, size=120, fine=4, to_plane=None):
@@ -82,10 +81,3 @@ def test_spokes_without_an_edge_give_no_point():
     assert 40 <= len(edge) <= 62
     assert edge.point[:, 0].min() > 59.0
     assert len(edge.outside([60.0, 60.0], 31.0)) == 0
-
-
-def test_bad_spokes_are_refused():
-    with pytest.raises(DomainError, match="at least 8 spokes"):
-        sample_spokes(np.zeros((9, 9)), [4, 4], np.arange(9.0), spokes=3)
-    with pytest.raises(DomainError, match="increasing radii"):
-        sample_spokes(np.zeros((9, 9)), [4, 4], [1.0, 2.0, 2.0, 3.0, 4.0])

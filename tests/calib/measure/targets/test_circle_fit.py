@@ -5,7 +5,6 @@ import pytest
 from scipy.optimize import minimize
 
 from calib.measure.targets.circle_fit import fit_circle
-from optics.errors import DomainError
 
 
 def on_circle(angles, centre=(3.2, -1.7), radius=12.5):
@@ -113,23 +112,3 @@ def test_a_stated_noise_that_is_wrong_gets_a_note(wrong):
     assert fit.status == ("refused" if wrong == 0.01 else "converged")
     assert ("stated too small" in fit.message) == (wrong < 1)
     assert ("stated too large" in fit.message) == (wrong > 1)
-
-
-@pytest.mark.parametrize(
-    ("points", "said"),
-    [
-        (np.zeros((3, 2)), "at least 4 points"),
-        (np.zeros((10, 3)), "at least 4 points"),
-        (np.ones((10, 2)), "coincide"),
-        (np.column_stack([np.arange(10.0), 2 * np.arange(10.0)]), "on a line"),
-        (np.full((10, 2), np.nan), "not finite"),
-    ],
-)
-def test_what_is_no_circle_is_refused(points, said):
-    with pytest.raises(DomainError, match=said):
-        fit_circle(points)
-
-
-def test_sigma_must_be_positive():
-    with pytest.raises(DomainError, match="must be positive"):
-        fit_circle(on_circle(np.arange(6.0)), sigma=0.0)
