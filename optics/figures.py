@@ -1,6 +1,7 @@
 """Lens drawings with ray fans, spot diagrams, distortion plots and star images.
 
-Every function returns a `matplotlib.figure.Figure`, or the axes it drew into, without pyplot and its global state.
+Every function returns a `matplotlib.figure.Figure`, which ``figure.savefig("lens.png")`` writes, or the axes it drew
+into; pyplot and its global state are not used.
 """
 
 from __future__ import annotations
@@ -18,10 +19,10 @@ from scipy.ndimage import grey_dilation
 from optics.arrays import NUMPY, FloatArray
 from optics.frames import field_direction, light_direction
 from optics.lens.apertures import Spider
-from optics.lens.system import AMBIENT, LensSystem, Surface
+from optics.lens.system import AMBIENT, LensSystem
 from optics.rays.distortion import distortion_map
 from optics.rays.entrance_pupil import entrance_pupil
-from optics.rays.pupil_sampling import PupilSamples, gauss_disk
+from optics.rays.pupil_sampling import gauss_disk
 from optics.rays.spots import trace_spots
 from optics.rays.trace import Rays, trace_path
 
@@ -55,13 +56,7 @@ def _profile(lens: LensSystem, index: int, half_height_mm: float) -> FloatArray:
 
 def _glass_runs(lens: LensSystem) -> list[tuple[int, int, str]]:
     """(front surface, back surface, glass) of every piece of glass."""
-    solid = [i for i, s in enumerate(lens.surfaces) if s.medium != AMBIENT]
-    return [(i, i + 1, lens.surfaces[i].medium) for i in solid]
-
-
-def _local(points: FloatArray, surface: Surface) -> FloatArray:
-    """Points (..., 3) of the lens frame in the frame of a surface."""
-    return np.asarray((points - surface.position_mm) @ surface.rotation)
+    return [(i, i + 1, surface.medium) for i, surface in enumerate(lens.surfaces) if surface.medium != AMBIENT]
 
 
 def _reaches(lens: LensSystem, fans: Sequence[FloatArray]) -> list[float]:
@@ -71,7 +66,9 @@ def _reaches(lens: LensSystem, fans: Sequence[FloatArray]) -> list[float]:
         if np.isfinite(surface.semi_diameter_mm):
             heights.append(surface.semi_diameter_mm)
             continue
-        reached = [np.linalg.norm(_local(fan[i + 1], surface)[..., :2], axis=-1) for fan in fans]
+        reached = [
+            np.linalg.norm(((fan[i + 1] - surface.position_mm) @ surface.rotation)[..., :2], axis=-1) for fan in fans
+        ]
         heights.append(1.05 * float(np.nanmax(np.concatenate([np.ravel(r) for r in reached]))))
     return heights
 
@@ -88,25 +85,27 @@ def _draw_glass(axes: Axes, lens: LensSystem, reach: Sequence[float]) -> None:
             outline.append(np.vstack([ends[:1], face, ends[1:]]))
         polygon = np.vstack([outline[0], outline[1][::-1]])
         axes.fill(polygon[:, 0], polygon[:, 1], facecolor=tints[glass], edgecolor=GLASS_EDGE, linewidth=0.9, zorder=2)
-    shown = dict.fromkeys(glass for _, _, glass in _glass_runs(lens))
-    for glass in shown:
+    for glass in dict.fromkeys(glass for _, _, glass in _glass_runs(lens)):
         axes.fill([], [], facecolor=tints[glass], edgecolor=GLASS_EDGE, linewidth=0.9, label=glass)
 
 
 def _without_vanes(lens: LensSystem) -> LensSystem:
     """The lens without vanes, on which the section itself often lies."""
-    kept = [tuple(one for one in s.apertures if not isinstance(one, Spider)) for s in lens.surfaces]
-    return lens.with_surfaces({i: replace(s, apertures=kept[i]) for i, s in enumerate(lens.surfaces)})
+    changed = {}
+    for i, surface in enumerate(lens.surfaces):
+        outlines = tuple(aperture for aperture in surface.apertures if not isinstance(aperture, Spider))
+        changed[i] = replace(surface, apertures=outlines)
+    return lens.with_surfaces(changed)
 
 
 def _mirror_face(lens: LensSystem, index: int, half_height_mm: float) -> FloatArray:
     """`_profile` of a mirror, NaN where its hole or its outlines leave nothing of it."""
     surface, face = lens.surfaces[index], _profile(lens, index, half_height_mm)
     y = np.linspace(-half_height_mm, half_height_mm, PROFILE_POINTS)
-    there = np.abs(y) >= surface.inner_semi_diameter_mm
+    reflects = np.abs(y) >= surface.inner_semi_diameter_mm
     for outline in surface.apertures:
-        there &= outline.inside(outline.parameters(), np.zeros_like(y), y, NUMPY) != outline.obscures
-    return np.where(there[:, None], face, np.nan)
+        reflects &= outline.inside(outline.parameters(), np.zeros_like(y), y, NUMPY) != outline.obscures
+    return np.where(reflects[:, None], face, np.nan)
 
 
 def _draw_mirrors(axes: Axes, lens: LensSystem, reach: Sequence[float]) -> None:
@@ -164,8 +163,6 @@ def draw_lens(
 
     Parameters
     ----------
-    lens : LensSystem
-        The lens; may be perturbed.
     fields_deg : sequence of float, optional
         Field angles along y [deg]; 0, 0.7 and 1 of the lens's field if left out.
     rays : int
@@ -173,10 +170,6 @@ def draw_lens(
     wavelength_nm : float, optional
         Wavelength; the design wavelength if left out.
 
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Made without pyplot; ``figure.savefig("lens.png")`` keeps it.
     """
     wave = lens.design_wavelength_nm if wavelength_nm is None else wavelength_nm
     fields = [0.0, 0.7 * lens.max_field_deg, lens.max_field_deg] if fields_deg is None else list(fields_deg)
@@ -221,11 +214,6 @@ def draw_lens(
     return figure
 
 
-def _spot_samples() -> PupilSamples:
-    """Rings that look even to the eye; weights do not matter for a picture."""
-    return gauss_disk(10, 36)
-
-
 def draw_spots(
     lens: LensSystem,
     *,
@@ -237,8 +225,6 @@ def draw_spots(
 
     Parameters
     ----------
-    lens : LensSystem
-        The lens.
     fields_deg : sequence of (x, y), optional
         Field angles [deg]; 0, 0.5, 0.7 and 1 of the lens's field along y if left out.
     wavelength_nm : sequence of float, optional
@@ -246,17 +232,17 @@ def draw_spots(
     pixel_um : float, optional
         Draws a pixel of this pitch.
 
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Made without pyplot; ``figure.savefig("lens.png")`` keeps it.
     """
     fields = (
-        [(0.0, part * lens.max_field_deg) for part in (0.0, 0.5, 0.7, 1.0)] if fields_deg is None else list(fields_deg)
+        [(0.0, fraction * lens.max_field_deg) for fraction in (0.0, 0.5, 0.7, 1.0)]
+        if fields_deg is None
+        else list(fields_deg)
     )
-    waves = [part * lens.design_wavelength_nm for part in (0.8, 1.0, 1.25)] if wavelength_nm is None else wavelength_nm
+    waves = (
+        [factor * lens.design_wavelength_nm for factor in (0.8, 1.0, 1.25)] if wavelength_nm is None else wavelength_nm
+    )
     field_x, field_y = np.array(fields, float).T
-    spots = trace_spots(lens, field_x, field_y, waves, samples=_spot_samples())
+    spots = trace_spots(lens, field_x, field_y, waves, samples=gauss_disk(10, 36))  # rings that look even
     weight = spots.area_mm2 / np.maximum(spots.area_mm2.sum(axis=(1, 2), keepdims=True), 1e-300)
     offsets = []
     for position in (spots.rays.x, spots.rays.y):
@@ -303,8 +289,6 @@ def draw_distortion(
 
     Parameters
     ----------
-    lens : LensSystem
-        The lens.
     count : int
         Grid points per side.
     wavelength_nm : float, optional
@@ -312,10 +296,6 @@ def draw_distortion(
     exaggeration : float, optional
         Factor on the displacements; if left out, a round one that makes them visible.
 
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Made without pyplot; ``figure.savefig("lens.png")`` keeps it.
     """
     grid = distortion_map(lens, count=count, wavelength_nm=wavelength_nm)
     dx, dy = grid.x_mm - grid.ideal_x_mm, grid.y_mm - grid.ideal_y_mm
@@ -326,26 +306,26 @@ def draw_distortion(
         wanted = 0.6 * abs(cell) / max(largest, 1e-12)
         factor = max(1.0, float(f"{wanted:.0e}")) if wanted < 1e9 else 1.0
     figure = Figure(figsize=(9.6, 4.7), layout="constrained")
-    left, right = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
+    grid_axes, radial_axes = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
     for x, y, style in (
         (grid.ideal_x_mm, grid.ideal_y_mm, {"color": "0.7", "linewidth": 0.8}),
         (grid.ideal_x_mm + factor * dx, grid.ideal_y_mm + factor * dy, {"color": FIELD_COLOURS[0], "linewidth": 1.1}),
     ):
-        left.plot(x, y, **style)
-        left.plot(x.T, y.T, **style)
-    left.plot([], [], color="0.7", label=f"ideal, f = {grid.focal_length_mm:.3f} mm")
-    left.plot([], [], color=FIELD_COLOURS[0], label=f"real, displacements x {factor:g}")
-    left.set_aspect("equal")
-    left.set(xlabel="x [mm]", ylabel="y [mm]")
-    left.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False, fontsize=9, ncols=2)
+        grid_axes.plot(x, y, **style)
+        grid_axes.plot(x.T, y.T, **style)
+    grid_axes.plot([], [], color="0.7", label=f"ideal, f = {grid.focal_length_mm:.3f} mm")
+    grid_axes.plot([], [], color=FIELD_COLOURS[0], label=f"real, displacements x {factor:g}")
+    grid_axes.set_aspect("equal")
+    grid_axes.set(xlabel="x [mm]", ylabel="y [mm]")
+    grid_axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False, fontsize=9, ncols=2)
     tangent = np.hypot(np.tan(np.radians(grid.field_x_deg)), np.tan(np.radians(grid.field_y_deg))).ravel()
     order = np.argsort(tangent)
     field, relative = np.degrees(np.arctan(tangent[order])), 100.0 * grid.relative.ravel()[order]
-    right.plot(relative, field, ".", color=FIELD_COLOURS[0], markersize=4)
-    right.axvline(0.0, color="0.5", linewidth=0.7)
-    right.set(xlabel="radial distortion [%]", ylabel="field [deg]", ylim=(0.0, None))
-    right.spines[["top", "right"]].set_visible(False)
-    right.grid(color="0.92")
+    radial_axes.plot(relative, field, ".", color=FIELD_COLOURS[0], markersize=4)
+    radial_axes.axvline(0.0, color="0.5", linewidth=0.7)
+    radial_axes.set(xlabel="radial distortion [%]", ylabel="field [deg]", ylim=(0.0, None))
+    radial_axes.spines[["top", "right"]].set_visible(False)
+    radial_axes.grid(color="0.92")
     wave = lens.design_wavelength_nm if wavelength_nm is None else wavelength_nm
     figure.suptitle(f"{lens.name}, {wave:g} nm: chief rays, largest displacement {1e3 * largest:.2f} µm", fontsize=10)
     return figure

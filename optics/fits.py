@@ -63,13 +63,13 @@ def open_fits(path: str | Path, *, sums: bool = True) -> Iterator[fits.HDUList]:
             raise
         raise ConfigError(f"{path}: not a readable FITS file ({error})") from None
     except Exception as error:  # astropy raises a dozen kinds on damaged files
-        raise ConfigError(f"{path}: not a readable FITS file ({_said(error)})") from None
+        raise ConfigError(f"{path}: not a readable FITS file ({_reason(error)})") from None
 
 
 def image_header(path: str | Path, hdu: int | str | None = None) -> fits.Header:
     """Header of an image: of an extension, or of the first image in the file, compressed or not."""
     with open_fits(path, sums=False) as content:
-        images = [one for one in content if one.is_image and one.header.get("NAXIS", 0) >= 2]
+        images = [unit for unit in content if unit.is_image and unit.header.get("NAXIS", 0) >= 2]
         try:
             header: fits.Header = (images[0] if hdu is None else content[hdu]).header.copy()
         except (IndexError, KeyError):
@@ -93,18 +93,18 @@ def unpacked(path: Path) -> bytes | None:
         opener = next((opener for magic, opener in _PACKED.items() if start.startswith(magic)), None)
         if opener is None:
             return None
-        held = bytearray()
+        content = bytearray()
         with opener(path, "rb") as packed:
             while part := packed.read(1 << 22):
-                held += part
-                if len(held) > MOST_UNPACKED_BYTES:
+                content += part
+                if len(content) > MOST_UNPACKED_BYTES:
                     raise ConfigError(
                         f"{path}: unpacks to more than {MOST_UNPACKED_BYTES / 1e6:.0f} MB; unpack it first if this "
                         "size is intended"
                     )
-        return bytes(held)
+        return bytes(content)
     except (OSError, EOFError, zlib.error, lzma.LZMAError) as error:
-        raise ConfigError(f"{path}: cannot be read ({_said(error)})") from None
+        raise ConfigError(f"{path}: cannot be read ({_reason(error)})") from None
 
 
 @contextmanager
@@ -234,13 +234,13 @@ def _text(value: str) -> str:
 
 
 def _columns(header: dict[str, str], number: int) -> Iterator[tuple[str, int, bool]]:
-    """Name, place in the row and width of the descriptor of every column of variable length."""
+    """Name, offset in the row and width of the descriptor of every column of variable length."""
     offset = 0
     for field in range(1, int(header.get("TFIELDS", "0")) + 1):
-        found = _FORMAT.match(_text(header.get(f"TFORM{field}", "")))
-        if found is None:
+        match = _FORMAT.match(_text(header.get(f"TFORM{field}", "")))
+        if match is None:
             raise ConfigError(f"header {number}: TFORM{field} = {header.get(f'TFORM{field}')!r} is not a valid format")
-        repeat, kind = int(found[1] or "1"), found[2]
+        repeat, kind = int(match[1] or "1"), match[2]
         if kind in "PQ" and repeat:
             yield _text(header.get(f"TTYPE{field}", "")).upper(), offset, kind == "Q"
         offset += -(-repeat // 8) if kind == "X" else repeat * _WIDTH[kind]
@@ -257,10 +257,10 @@ def _tiles(
     before = int(header.get("THEAP", str(row * rows))) - row * rows
     for at in range(offset, len(table), max(row, 1)):
         count = int.from_bytes(table[at : at + size], "big")
-        place = int.from_bytes(table[at + size : at + 2 * size], "big")
-        if before < 0 or before + place + count > heap:
+        position = int.from_bytes(table[at + size : at + 2 * size], "big")
+        if before < 0 or before + position + count > heap:
             raise ConfigError(f"header {number}: a compressed tile lies outside its table")
-        stream.seek(start + row * rows + before + place)
+        stream.seek(start + row * rows + before + position)
         yield stream.read(count)
 
 
@@ -278,7 +278,7 @@ def _unpacks_within(content: bytes, most: int) -> bool:
     return True
 
 
-def _said(error: BaseException) -> str:
+def _reason(error: BaseException) -> str:
     if "verification failed" in str(error):
         return (
             f"{str(error).strip()} It was damaged or edited since it was written: copy it again or remove the "

@@ -34,7 +34,7 @@ PREVIEW_PX = 700
 SHOWN_PX = 900
 """About as wide as a page shows a whole frame."""
 WHITE_SIGMA = 40.0
-"""Above the background, in its noise: where white begins, if so few pixels of the frame are brighter."""
+"""White above the median, in units of the noise, unless more than 0.03 % of the pixels are brighter."""
 LARGEST_PX = 1 << 27
 
 
@@ -45,19 +45,19 @@ class Marks:
     Attributes
     ----------
     name : str
-        As the page names it.
+        Name on the page.
     x_px, y_px : (n,)
-        Where; (column, row), integers are pixel centres. Marks that are not finite are left out.
+        Column and row, integers are pixel centres; marks that are not finite are left out.
     shape : {"circle", "square", "cross", "arrow"}
-        Arrows start at their place and have the length `dx_px`, `dy_px`, drawn enlarged.
+        Arrows start at (x, y) and have the components `dx_px`, `dy_px`, drawn enlarged.
     colour : str
         ``#rrggbb``.
     label : sequence of str, optional
-        Text next to each.
+        Text next to each mark.
     columns : mapping of str to sequence
-        More about each: ``"flux [e-]"`` -> n numbers or texts.
+        Further values of each mark: ``"flux [e-]"`` -> n numbers or texts.
     dx_px, dy_px : (n,), optional
-        Of arrows.
+        Components of arrows.
     shown : bool
         Whether the page starts with it.
     """
@@ -76,21 +76,18 @@ class Marks:
     def __post_init__(self) -> None:
         if self.shape not in SHAPES:
             raise ConfigError(f"Marks.shape = {self.shape!r}; choose one of {', '.join(SHAPES)}")
-        sizes: dict[str, int] = {}
         names = ("x_px", "y_px", *(("dx_px", "dy_px") if self.shape == "arrow" else ()))
+        sizes: dict[str, int] = {}
         for name in names:
             freeze(self, name, shape=("n",), finite=False, sizes=sizes)
-        counts = {name: len(values) for name, values in self.columns.items()}
-        for name, count in (counts | ({"label": len(self.label)} if len(self.label) else {})).items():
-            if count != len(self.x_px):
-                raise DomainError(f"Marks {self.name!r}: {name} has {count} values for {len(self.x_px)} marks")
+        texts = {"label": self.label} if len(self.label) else {}
+        for name, values in {**self.columns, **texts}.items():
+            if len(values) != len(self.x_px):
+                raise DomainError(f"Marks {self.name!r}: {name} has {len(values)} values for {len(self.x_px)} marks")
 
     def _content(self) -> dict[str, Any]:
-        x, y = self.x_px, self.y_px
-        known = np.isfinite(x) & np.isfinite(y)
-        if self.shape == "arrow":
-            known &= np.isfinite(self.dx_px) & np.isfinite(self.dy_px)
-        rows = np.flatnonzero(known)
+        positions = [self.x_px, self.y_px, *((self.dx_px, self.dy_px) if self.shape == "arrow" else ())]
+        rows = np.flatnonzero(np.isfinite(positions).all(axis=0))
         columns = [
             {
                 "name": name.partition(" [")[0],
@@ -105,26 +102,33 @@ class Marks:
             "shape": self.shape,
             "colour": self.colour,
             "shown": self.shown,
-            "x": _rounded(x[rows]),
-            "y": _rounded(y[rows]),
+            "x": _rounded(self.x_px[rows]),
+            "y": _rounded(self.y_px[rows]),
             "label": [str(self.label[int(row)]) for row in rows] if len(self.label) else [],
             "columns": columns,
             **arrows,
         }
 
 
+def _positions_px(*layers: Marks) -> FloatArray:
+    """Finite positions (n, 2) of all marks."""
+    positions = [np.column_stack([layer.x_px, layer.y_px]) for layer in layers]
+    joined = np.concatenate([np.empty((0, 2)), *positions])
+    return joined[np.isfinite(joined).all(axis=1)]
+
+
 def differences(measured: Sequence[Marks], reference: Marks, *, within_px: float = 2.0) -> Marks:
     """Arrows from positions of a reference to the nearest measured position within a radius."""
     from scipy.spatial import cKDTree
 
-    x, y = (np.concatenate([getattr(one, name) for one in measured] or [np.empty(0)]) for name in ("x_px", "y_px"))
-    places = [np.column_stack([x, y]), np.column_stack([reference.x_px, reference.y_px])]
-    known = [np.flatnonzero(np.isfinite(place).all(axis=1)) for place in places]
-    here, there = (place[rows] for place, rows in zip(places, known, strict=True))
-    far, partner = cKDTree(there).query(here, distance_upper_bound=within_px) if len(there) else (np.empty(0), [])
-    found = np.flatnonzero(np.isfinite(far))
-    start = there[np.asarray(partner, np.int64)[found]].reshape(-1, 2)
-    offset = here[found].reshape(-1, 2) - start
+    measured_px = _positions_px(*measured)
+    reference_px = _positions_px(reference)
+    distance_px, nearest = np.empty(0), np.empty(0, np.int64)
+    if len(reference_px):
+        distance_px, nearest = cKDTree(reference_px).query(measured_px, distance_upper_bound=within_px)
+    matched = np.flatnonzero(np.isfinite(distance_px))
+    start = reference_px[nearest[matched]]
+    offset = measured_px[matched] - start
     return Marks(
         name=f"errors against {reference.name}",
         shape="arrow",
@@ -183,11 +187,11 @@ def frame_page(
     image = np.asarray(values)
     if image.ndim != 2 or not 0 < image.size <= LARGEST_PX or not np.isfinite(image).any():
         raise DomainError(f"frame of shape {image.shape}; two dimensions, 1 to {LARGEST_PX} pixels, finite are needed")
-    known = np.isfinite(image)
+    finite = np.isfinite(image)
     flagged = {name: np.asarray(mask, bool) for name, mask in (flags or {}).items()}
-    if not known.all():
-        flagged["no value"] = ~known
-        image = np.where(known, image, np.median(image[known]))
+    if not finite.all():
+        flagged["no value"] = ~finite
+        image = np.where(finite, image, np.median(image[finite]))
     if len(flagged) > len(FLAG_COLOURS) or any(mask.shape != image.shape for mask in flagged.values()):
         raise DomainError(f"flags: at most {len(FLAG_COLOURS)} kinds, each of the shape {image.shape} of the frame")
     pixels, about = _packed(image, noise)
@@ -207,9 +211,9 @@ def frame_page(
             for at, (name, mask) in enumerate(shown)
         ],
     }
-    told = {"size": f"{image.shape[1]} × {image.shape[0]} px", **(facts or {})}
+    shown_facts = {"size": f"{image.shape[1]} × {image.shape[0]} px", **(facts or {})}
     if about["step"] != 1:
-        told["rounded to"] = f"{about['step']:g} {unit}"
+        shown_facts["rounded to"] = f"{about['step']:g} {unit}"
     counts = [f"{len(layer.x_px)} {layer.name}" for layer in layers if layer.shape != "arrow"]
     alt = f"{title}: {', '.join([f'image of {image.shape[1]} by {image.shape[0]} pixels', *counts])}"
     return _filled(
@@ -217,7 +221,7 @@ def frame_page(
         alt=html.escape(alt),
         wide=str(image.shape[1]),
         high=str(image.shape[0]),
-        facts=html.escape(" · ".join(f"{name} {text}" for name, text in told.items())),
+        facts=html.escape(" · ".join(f"{name} {text}" for name, text in shown_facts.items())),
         preview=_preview(image),
         pixels=pixels,
         flags=_deflated(bits.tobytes()) if shown else "",
@@ -226,23 +230,7 @@ def frame_page(
 
 
 def save_frame_page(path: str | Path, values: ArrayLike, layers: Sequence[Marks] = (), **settings: Any) -> Path:
-    """Write the page of `frame_page`; the file appears complete or not at all.
-
-    Parameters
-    ----------
-    path : path
-        File to write.
-    values : (h, w)
-        Pixels.
-    layers : sequence of Marks
-        Drawn in this order.
-    **settings
-        As in `frame_page`.
-
-    Returns
-    -------
-    pathlib.Path
-        The file.
+    """Write the page of `frame_page`, whose parameters follow ``path``; the file appears complete or not at all.
 
     Raises
     ------
@@ -256,16 +244,16 @@ def save_frame_page(path: str | Path, values: ArrayLike, layers: Sequence[Marks]
 
 def _enlargement(layers: Sequence[Marks], width_px: int) -> float:
     """Enlargement of arrows: a typical arrow is as long as a hundredth of the frame."""
-    lengths = np.concatenate([np.hypot(one.dx_px, one.dy_px) for one in layers] or [np.empty(0)])
+    lengths = np.concatenate([np.hypot(layer.dx_px, layer.dy_px) for layer in layers] or [np.empty(0)])
     lengths = lengths[np.isfinite(lengths) & (lengths > 0)]
     return float(np.clip(0.01 * width_px / np.median(lengths), 1.0, 1e4)) if len(lengths) else 100.0
 
 
 def _packed(image: NDArray[Any], noise: float | None) -> tuple[str, dict[str, Any]]:
-    """Pixels as base64 text, and how numbers become values again.
+    """Pixels as base64 text, and zero, step and number of byte planes by which they become values.
 
-    Numbers count from a multiple of 256 below a point half a byte under the median: so the noise of the background
-    seldom carries into the second byte, whose plane then takes no room.
+    Zero is a multiple of 256 below the point 128 under the median: the noise of the background then seldom carries
+    into the second byte, whose plane compresses to almost nothing.
     """
     step = 1.0
     if image.dtype.kind == "f" and not np.array_equal(image, np.rint(image)):
@@ -278,19 +266,20 @@ def _packed(image: NDArray[Any], noise: float | None) -> tuple[str, dict[str, An
     number -= zero
     planes = max(1, (int(number.max()).bit_length() + 7) // 8)
     data = b"".join((number >> 8 * plane).astype(np.uint8).tobytes() for plane in range(planes))
-    whole = step == 1.0
-    return _deflated(data), {"zero": zero if whole else zero * step, "step": 1 if whole else step, "planes": planes}
+    if step == 1.0:
+        return _deflated(data), {"zero": zero, "step": 1, "planes": planes}
+    return _deflated(data), {"zero": zero * step, "step": step, "planes": planes}
 
 
 def _shades(image: NDArray[Any]) -> dict[str, float]:
-    """Shares of the pixels that begin as black and are not yet white: noise is dark, and faint stars stand out of it.
+    """Quantiles of the pixels at which black ends and white begins: noise is dark, and faint stars stand out of it.
 
-    Where the whole frame is shown, each place shows the brightest of some pixels; that of noise alone lies higher.
+    A frame scaled down shows the brightest of several pixels, which for noise alone lies above the median.
     """
     middle = float(np.median(image))
     sigma = 1.4826 * float(np.median(np.abs(image - middle)))
-    together = max(1, max(image.shape) // SHOWN_PX) ** 2
-    noise = 0.5 + NormalDist().inv_cdf(together / (together + 1.0))
+    pooled = max(1, max(image.shape) // SHOWN_PX) ** 2
+    noise = 0.5 + NormalDist().inv_cdf(pooled / (pooled + 1.0))
     black = float((image < middle + noise * sigma).mean())
     white = float((image < middle + WHITE_SIGMA * sigma).mean())
     return {"black": min(max(black, 0.5), 0.995), "white": min(max(white, 0.9997), 1.0 - 1e-6)}
@@ -311,9 +300,9 @@ def _preview(image: NDArray[Any]) -> str:
     shades = _shades(coarse)
     low, high = np.quantile(coarse, (shades["black"], shades["white"]))
     shown = np.arcsinh(20.0 * np.clip((coarse - low) / max(high - low, 1e-12), 0.0, 1.0))
-    held = io.BytesIO()
-    imsave(held, shown, cmap="gray", format="png")
-    return "data:image/png;base64," + base64.b64encode(held.getvalue()).decode("ascii")
+    png = io.BytesIO()
+    imsave(png, shown, cmap="gray", format="png")
+    return "data:image/png;base64," + base64.b64encode(png.getvalue()).decode("ascii")
 
 
 def _grid(sky: ArrayLike) -> dict[str, Any]:
@@ -337,7 +326,7 @@ def _plain(value: Any) -> Any:
 
 
 def _filled(**texts: str) -> str:
-    """The template with its parts in their places; each part is put in once, so that none can name another."""
+    """The template with its parts filled in; each part is inserted once, so that none can name another."""
     folder = files("optics").joinpath("data", "frame_page")
     texts |= {name: folder.joinpath(file).read_text(encoding="utf-8").rstrip() for name, file in _PARTS.items()}
     pieces = folder.joinpath("page.html").read_text(encoding="utf-8").split("@")

@@ -21,7 +21,7 @@ from optics.waves.image_quality import perfect_peak, strehl, transfer_function
 from optics.waves.pupil_field import PupilField, needed_order, trace_pupil
 from optics.waves.wavefront import Wavefront, wavefront
 
-FIELD_SHARES = (0.0, 0.35, 0.5, 0.7, 0.85, 1.0)
+FIELD_FRACTIONS = (0.0, 0.35, 0.5, 0.7, 0.85, 1.0)
 SHOWN = (0, 3, 5)
 """Fields of spots and MTF among these."""
 FREQUENCIES = 41
@@ -38,7 +38,7 @@ COARSE, FINE = (5.0, 0.25), (0.25, 0.05)
 """Half side and step of grids that look for the brightest point, in wavelengths over the numerical aperture."""
 AIRY_RADII, SPOT_RADII = 3.0, 2.5
 """Half widths of images, in Airy radii and in RMS radii of the largest spot."""
-BAND_SHARES = (0.85, 1.0, 1.2)
+BAND_FRACTIONS = (0.85, 1.0, 1.2)
 """Wavelengths over the design wavelength, where the file states none or one."""
 
 
@@ -64,7 +64,7 @@ class Images:
     strehl_through_focus: FloatArray  # (fields, z) The same at `Waves.focus_mm`
     # (fields, side, side) Images over the brightest point of the same pupil without wavefront error
     intensity: FloatArray
-    encircled: FloatArray  # (fields, r) Share of the light within circles of `Waves.radius_mm`
+    encircled: FloatArray  # (fields, r) Fraction of the light within circles of `Waves.radius_mm`
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +109,7 @@ def _waves(file: LensFile) -> tuple[FloatArray, FloatArray]:
         used = defaults.wavelength_weight > 0.0
         return defaults.wavelength_nm[used], defaults.wavelength_weight[used]
     low, high = lens.wavelength_range_nm
-    waves = np.clip(np.array(BAND_SHARES) * lens.design_wavelength_nm, low, high)
+    waves = np.clip(np.array(BAND_FRACTIONS) * lens.design_wavelength_nm, low, high)
     return waves, np.ones(waves.size)
 
 
@@ -162,7 +162,7 @@ def _diffraction(lens: LensSystem, fields: FloatArray, rms_mm: FloatArray, f_num
         note = str(error)
     return Waves(
         wavefront=errors,
-        zernike_waves=np.array([one.zernike_nm(ZERNIKES) / one.wavelength_nm for one in errors]),
+        zernike_waves=np.array([error.zernike_nm(ZERNIKES) / error.wavelength_nm for error in errors]),
         focus_mm=focus_mm,
         half_mm=half_mm,
         radius_mm=radius_mm,
@@ -246,7 +246,7 @@ def study(file: LensFile, shown: str) -> Study:
     """
     lens = file.lens
     waves, weight = _waves(file)
-    fields = np.array(FIELD_SHARES) * lens.max_field_deg
+    fields = np.array(FIELD_FRACTIONS) * lens.max_field_deg
     missing: dict[str, str] = {}
 
     def tried(name: str, compute: Callable[[], Any]) -> Any:
@@ -274,14 +274,14 @@ def study(file: LensFile, shown: str) -> Study:
     return Study(shown, file, waves, weight, fields, first, spots, performance, chief, focus, mtf, by_waves, missing)
 
 
-def airy_radius_mm(made: Study) -> float:
+def airy_radius_mm(result: Study) -> float:
     """First dark ring, 1.22 wavelength F, of a perfect lens of this F-number; not finite for a lens without one."""
-    f_number = np.nan if made.first_order is None else abs(made.first_order.f_number)
-    return 1.22e-6 * made.file.lens.design_wavelength_nm * f_number
+    f_number = np.nan if result.first_order is None else abs(result.first_order.f_number)
+    return 1.22e-6 * result.file.lens.design_wavelength_nm * f_number
 
 
-def white_rms_mm(made: Study) -> FloatArray | None:
+def white_rms_mm(result: Study) -> FloatArray | None:
     """RMS radius of the spot of all wavelengths, (f,) [mm]."""
-    if made.spots is None:
+    if result.spots is None:
         return None
-    return np.asarray(white_focus(made.spots, made.weight / made.weight.sum()).rms_mm())
+    return np.asarray(white_focus(result.spots, result.weight / result.weight.sum()).rms_mm())

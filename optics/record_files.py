@@ -21,7 +21,7 @@ from optics.errors import ConfigError
 
 Record = TypeVar("Record")
 PACKAGES = ("optics.", "render.")
-ODD = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
+NOT_FINITE = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 
 
 def write_record(path: str | Path, record: Any) -> None:
@@ -41,7 +41,7 @@ def read_record(path: str | Path, kind: type[Record]) -> Record:
 
 
 def _plain(value: Any) -> Any:
-    """What JSON can hold."""
+    """The value in types of JSON."""
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float) and not math.isfinite(value):
@@ -52,7 +52,7 @@ def _plain(value: Any) -> Any:
 
 
 def _compound(value: Any) -> dict[str, Any]:
-    """An object for what JSON has no word for."""
+    """Object for a value that is no type of JSON."""
     if isinstance(value, np.ndarray):
         entries = value.tolist() if np.isfinite(value).all() else [_plain(v) for v in value.ravel().tolist()]
         written = {"array": entries, "type": value.dtype.name, "shape": list(value.shape)}
@@ -64,7 +64,7 @@ def _compound(value: Any) -> dict[str, Any]:
         written = {"spline": _plain(value.x), "coefficients": _plain(value.c)}
     elif is_dataclass(value) and not isinstance(value, type):
         kind = type(value)
-        named = {one.name: _plain(getattr(value, one.name)) for one in fields(value) if one.init}
+        named = {field.name: _plain(getattr(value, field.name)) for field in fields(value) if field.init}
         written = {"record": f"{kind.__module__}.{kind.__qualname__}", "fields": named}
     else:
         raise ConfigError(f"a {type(value).__name__} cannot be written into a file of records")
@@ -80,9 +80,10 @@ def _record(value: Any) -> Any:
 
 
 def _array(value: dict[str, Any]) -> Any:
-    odd = any(isinstance(entry, dict) for entry in value["array"])
-    flat = [_record(v) for v in value["array"]] if odd else value["array"]
-    return np.array(flat, dtype=value["type"]).reshape(value["shape"])
+    entries = value["array"]
+    if any(isinstance(entry, dict) for entry in entries):  # a flat list, as it holds a number that is not finite
+        entries = [_record(entry) for entry in entries]
+    return np.array(entries, dtype=value["type"]).reshape(value["shape"])
 
 
 def _spline(value: dict[str, Any]) -> CubicSpline:
@@ -94,12 +95,11 @@ def _dataclass(value: dict[str, Any]) -> Any:
     kind: Any = getattr(importlib.import_module(module), name) if module.startswith(PACKAGES) else None
     if not (isinstance(kind, type) and is_dataclass(kind)):
         raise ValueError(f"{value['record']} is not a starbench record")
-    made: Any = kind(**{key: _record(entry) for key, entry in value["fields"].items()})
-    return made
+    return kind(**{key: _record(entry) for key, entry in value["fields"].items()})
 
 
 KINDS: dict[str, Callable[[dict[str, Any]], Any]] = {
-    "number": lambda value: ODD[value["number"]],
+    "number": lambda value: NOT_FINITE[value["number"]],
     "array": _array,
     "tuple": lambda value: tuple(_record(v) for v in value["tuple"]),
     "dict": lambda value: {_record(k): _record(v) for k, v in value["dict"]},

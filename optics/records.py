@@ -17,8 +17,8 @@ Record = TypeVar("Record")
 def concatenated(parts: Sequence[Record], **others: Any) -> Record:
     """One record with the concatenated arrays of several of its kind."""
     kind: Any = type(parts[0])
-    names = [one.name for one in fields(kind) if one.name not in others]
-    joined: Record = kind(**{name: np.concatenate([getattr(one, name) for one in parts]) for name in names}, **others)
+    names = [field.name for field in fields(kind) if field.name not in others]
+    joined: Record = kind(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names}, **others)
     return joined
 
 

@@ -17,7 +17,7 @@ from optics.validate import read_toml, without_lax
 
 @dataclass(frozen=True)
 class _IsFile:
-    """Marks text that may be the path of a file, or always is a path."""
+    """Marks text that may be, or always is, the path of a file."""
 
     always: bool = False
 
@@ -31,7 +31,7 @@ FileName = Annotated[str, _IsFile()]
 FolderName = Annotated[str, _IsFile(always=True)]
 """Type of a setting that is always a path, in a file relative to that file."""
 
-# Last word of a field's name that tells its unit, or that says it has none.
+# Last word of a field's name: its unit, or a word for a pure number.
 _LENGTHS_AND_TIMES = ("nm", "um", "mm", "m", "km", "s", "ms", "us", "min", "h", "px", "px2")
 _ANGLES = ("deg", "arcsec", "arcsec2", "arcmin", "rad")
 _OTHERS = ("e", "dn", "c", "k", "hpa", "mag", "hz", "percent", "photon", "photons", "ppm", "mb", "bit", "bits")
@@ -50,13 +50,13 @@ def _holds_reals(annotation: Any) -> bool:
     return any(_holds_reals(argument) for argument in typing.get_args(annotation))
 
 
-def _tells_unit(name: str) -> bool:
+def _has_unit(name: str) -> bool:
     words = name.lower().split("_")
     return words[-1] in _UNITS | _PURE_NUMBERS or "per" in words[1:]
 
 
 def unit_of(name: str) -> str:
-    """Unit that the name of a key tells, "" if it tells none: ``read_noise_e`` e-, ``rate_deg_per_s`` deg/s."""
+    """Unit at the end of the name of a key, "" if it has none: ``read_noise_e`` e-, ``rate_deg_per_s`` deg/s."""
     words = name.split("_")
     if "per" in words[1:]:
         at = words.index("per", 1)
@@ -88,7 +88,7 @@ class StrictModel(BaseModel):
         """Check the names of a new table's fields."""
         super().__pydantic_init_subclass__(**kwargs)
         for name, field in cls.model_fields.items():
-            if _holds_reals(field.annotation) and not _tells_unit(name) and name not in cls.dimensionless:
+            if _holds_reals(field.annotation) and not _has_unit(name) and name not in cls.dimensionless:
                 raise TypeError(
                     f"{cls.__name__}.{name} holds real numbers, but its name does not end in a unit; "
                     f"rename it (known units: {' '.join(sorted(_UNITS))}) or list it in {cls.__name__}.dimensionless"
@@ -97,20 +97,22 @@ class StrictModel(BaseModel):
 
 def read_settings(model_class: type[BaseModel], file: str | Path) -> dict[str, Any]:
     """Settings of a TOML file, not yet validated; relative paths in it are taken from its folder."""
-    found: dict[str, Any] = _located([model_class], read_toml(file), Path(file).parent)
-    return found
+    settings: dict[str, Any] = _located([model_class], read_toml(file), Path(file).parent)
+    return settings
 
 
 def _located(annotations: Sequence[Any], value: Any, folder: Path) -> Any:
     """The value with its relative paths below a folder."""
     if isinstance(value, Mapping):
-        models = [part for one in annotations for part in alternatives(one) if is_model(part)]
-        inside = {key: [one.model_fields[key] for one in models if key in one.model_fields] for key in value}
-        return {key: _located([annotated(one) for one in inside[key]], entry, folder) for key, entry in value.items()}
+        models = [model for annotation in annotations for model in alternatives(annotation) if is_model(model)]
+        inside = {key: [model.model_fields[key] for model in models if key in model.model_fields] for key in value}
+        return {key: _located(list(map(annotated, inside[key])), entry, folder) for key, entry in value.items()}
     if isinstance(value, list):
-        items = [part for one in annotations for kind in alternatives(one) for part in typing.get_args(kind)]
+        items = [item for each in annotations for kind in alternatives(each) for item in typing.get_args(kind)]
         return [_located(items, entry, folder) for entry in value]
-    if isinstance(value, str) and any(_is_path(value, mark) for one in annotations for mark in _marks(one)):
+    if isinstance(value, str) and any(
+        _is_path(value, mark) for annotation in annotations for mark in _marks(annotation)
+    ):
         return str(folder / Path(value).expanduser())
     return value
 
@@ -124,7 +126,7 @@ def _is_path(text: str, mark: _IsFile) -> bool:
 def absolute(field: FieldInfo, value: Any) -> Any:
     """The value of a field with its paths made absolute."""
     if isinstance(value, (tuple, list)):
-        return [absolute(field, one) for one in value]
+        return [absolute(field, item) for item in value]
     if isinstance(value, str) and any(_is_path(value, mark) for mark in _marks(annotated(field))):
         return os.path.abspath(Path(value).expanduser())
     return value
@@ -141,10 +143,10 @@ def is_model(annotation: Any) -> bool:
 
 
 def _marks(annotation: Any) -> Iterator[_IsFile]:
-    for one in typing.get_args(annotation):
-        if isinstance(one, _IsFile):
-            yield one
-        yield from _marks(one)
+    for argument in typing.get_args(annotation):
+        if isinstance(argument, _IsFile):
+            yield argument
+        yield from _marks(argument)
 
 
 def alternatives(annotation: Any) -> Iterator[Any]:

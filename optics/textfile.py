@@ -15,9 +15,9 @@ from typing import Any
 from optics.errors import ConfigError
 
 LARGEST_BYTES = 32 * 2**20
-"""Lens files have kilobytes, the largest glass catalogues some megabytes."""
+"""Lens files have kilobytes, glass catalogues up to some megabytes."""
 
-_STRANGE = ("\ufffd", *(chr(c) for c in range(32) if chr(c) not in "\t\n\r\f\x1a"))
+_INVALID = ("\ufffd", *(chr(c) for c in range(32) if chr(c) not in "\t\n\r\f\x1a"))
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8-sig"),
     (codecs.BOM_UTF32_LE, "utf-32"),
@@ -39,27 +39,27 @@ def read_text(path: str | Path, what: str) -> TextFile:
     """Read a text file in UTF-8, UTF-16, UTF-32 (with or without a byte order mark) or ISO-8859-1."""
     if "\0" in str(path):
         raise ConfigError(f"{str(path)!r}: a file name cannot hold a NUL character")
-    place = Path(path)
+    file = Path(path)
     try:
-        if not place.exists():
+        if not file.exists():
             raise ConfigError(f"{path}: no such file")
-        if not place.is_file():
+        if not file.is_file():
             raise ConfigError(f"{path}: not a regular file; {what} is needed")
-        size = place.stat().st_size
+        size = file.stat().st_size
         if size > LARGEST_BYTES:
             raise ConfigError(
                 f"{path}: {size / 2**20:.0f} MiB are too many for {what}; at most {LARGEST_BYTES // 2**20} MiB are read"
             )
-        data = place.read_bytes()
+        data = file.read_bytes()
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from None
     if not data.strip():
         raise ConfigError(f"{path}: the file is empty")
     encoding = _encoding(data)
     text = data.decode(encoding, errors="replace")
-    strange = sum(text.count(c) for c in _STRANGE)
-    if strange > 0.01 * len(text):
-        raise ConfigError(f"{path}: not a text file ({strange} of {len(text)} characters are invalid in {encoding})")
+    invalid = sum(text.count(c) for c in _INVALID)
+    if invalid > 0.01 * len(text):
+        raise ConfigError(f"{path}: not a text file ({invalid} of {len(text)} characters are invalid in {encoding})")
     text = text.replace("\0", " ").replace("\r\n", "\n").replace("\r", "\n")
     return TextFile(lines=tuple(text.split("\n")), encoding=encoding)
 
@@ -108,17 +108,17 @@ def two_columns(
 
 
 def write_text(path: str | Path, text: str) -> Path:
-    """Write a text file in UTF-8, on every system the same bytes; it appears whole or not at all."""
+    """Write a text file in UTF-8, the same bytes on every system; it appears complete or not at all."""
     path = Path(path)
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        beside.write_text(text, encoding="utf-8", newline="\n")
-        os.replace(beside, path)
+        temporary.write_text(text, encoding="utf-8", newline="\n")
+        os.replace(temporary, path)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from None
     finally:
         with suppress(OSError):
-            beside.unlink()
+            temporary.unlink()
     return path
 
 

@@ -20,7 +20,7 @@ Model = TypeVar("Model", bound=BaseModel)
 Location = tuple[int | str, ...]
 
 MOST_LEVELS = 16
-"""How deep tables and lists of a file may stand within one another."""
+"""Nesting of tables and lists in a file."""
 MOST_DOTS = 100
 _LONG_KEY = re.compile(rf"(?:[\w\"'-]++\s*+\.\s*+){{{MOST_DOTS},}}")
 _UNQUOTED = re.compile(
@@ -29,7 +29,7 @@ _UNQUOTED = re.compile(
 )
 """A key whose value is text without quotation marks."""
 MOST_MISSING = 3
-"""Of more missing keys the names are said, not what each is."""
+"""More missing keys than these are listed by name alone."""
 _NEEDED = {
     "finite_number": "a finite number is needed",
     "float_type": "a number is needed",
@@ -41,7 +41,7 @@ _NEEDED = {
     "bool_parsing": "true or false is needed",
     "string_type": "text is needed, in quotation marks",
 }
-"""What pydantic finds wrong, in our words; of the rest it says it itself."""
+"""Sentences in place of pydantic's."""
 _OUT_OF_BOUNDS = frozenset(("greater_than", "greater_than_equal", "less_than", "less_than_equal"))
 _BOUNDS = (("gt", "above {}"), ("ge", "at least {}"), ("lt", "below {}"), ("le", "at most {}"))
 
@@ -69,15 +69,13 @@ def refuse_values(
     try:
         model_class.model_validate(dict(mapping))
     except ValidationError as error:
-        faults = [
-            one for one in _faults(model_class, error) if _is_value(given, _without_tags(model_class, one["loc"]))
-        ]
+        faults = [f for f in _faults(model_class, error) if _is_value(given, _without_tags(model_class, f["loc"]))]
         if faults:
             raise _refusal(model_class, faults, where) from None
 
 
 def _is_value(given: Any, location: list[int | str]) -> bool:
-    """Whether a value stands at a place, and no table."""
+    """Whether there is a value at a location, and no table."""
     for step in location:
         try:
             given = given[step]
@@ -95,14 +93,14 @@ def _faults(model_class: type[BaseModel], error: ValidationError) -> list[dict[s
         if at is not None:
             of_types.setdefault(fault["loc"][:at], {}).setdefault(fault["loc"][at], []).append(fault)
     for types in of_types.values():
-        nearest = min(reversed(types.values()), key=len)  # of as many, the one named last
-        for said in types.values():
-            faults = [fault for fault in faults if said is nearest or fault not in said]
+        nearest = min(reversed(types.values()), key=len)  # with equal numbers of faults the type named last
+        for others in types.values():
+            faults = [fault for fault in faults if others is nearest or fault not in others]
     return [fault for fault in faults if not _follows(fault, faults) and not _misspelt(model_class, fault, faults)]
 
 
 def _type_at(model_class: type[BaseModel], location: Location) -> int | None:
-    """Where in a location the name of one of several types stands, below a key that holds no table."""
+    """Position in a location of the name of one of several types, below a key that holds no table."""
     for at, step in enumerate(location):
         if at and isinstance(step, str) and not _owners(model_class, location[:at]):
             return at
@@ -145,12 +143,8 @@ def _deeper(table: Any, levels: int) -> bool:
     """Whether tables and lists exceed a number of levels; without recursion, which has a limit of its own."""
     inside = [table]
     for _ in range(levels):
-        inside = [
-            part
-            for one in inside
-            for part in (one.values() if isinstance(one, dict) else one)
-            if isinstance(part, dict | list)
-        ]
+        values = (value for part in inside for value in (part.values() if isinstance(part, dict) else part))
+        inside = [value for value in values if isinstance(value, dict | list)]
     return bool(inside)
 
 
@@ -165,8 +159,7 @@ class _Lax:
 
 
 def without_lax(values: Any, model_class: type[BaseModel]) -> Any:
-    """Values of a model without values that pydantic would convert: true for a number, "1.5" for one, "yes" for
-    true."""
+    """Values of a model without those that pydantic would convert: true or "1.5" for a number, "yes" for true."""
     if not isinstance(values, Mapping):
         return values
     fields = model_class.model_fields
@@ -193,7 +186,7 @@ def _leaves(annotation: Any) -> set[Any]:
     if typing.get_origin(annotation) is typing.Literal:
         return {type(value) for value in typing.get_args(annotation)}
     inner = typing.get_args(annotation)
-    return set().union(*(_leaves(one) for one in inner)) if inner else {annotation}
+    return set().union(*map(_leaves, inner)) if inner else {annotation}
 
 
 def _follows(fault: dict[str, Any], faults: list[dict[str, Any]]) -> bool:
@@ -225,18 +218,18 @@ def _sentence(model_class: type[BaseModel], fault: dict[str, Any]) -> str:
     kind = fault["type"]
     if kind == "extra_forbidden":
         table = location[:-1]
-        known = _known(model_class, table)
+        keys = _known(model_class, table)
         if table and _is_tag(_owners(model_class, table[:-1]), table[-1]):
             for other in _owners(model_class, table[:-1]):
                 if location[-1] in other.model_fields:
                     chosen = key.removesuffix(f".{location[-1]}")
                     return f"key {key!r} goes with {chosen}.kind = {_kind(other)!r}; set that too"
-        near = _nearest(str(location[-1]), known, _dotted(model_class))
-        hint = f"did you mean {near!r}?" if near else f"known keys: {', '.join(known)}"
+        near = _nearest(str(location[-1]), keys, _dotted(model_class))
+        hint = f"did you mean {near!r}?" if near else f"known keys: {', '.join(keys)}"
         return f"unknown key {key!r}; {hint}"
     if kind == "union_tag_invalid":
-        known_kinds = [_kind(owner) for owner in _owners(model_class, location)]
-        return str(unknown_name(f"{key}.kind", str(fault["ctx"]["tag"]), known_kinds))
+        kinds = [_kind(owner) for owner in _owners(model_class, location)]
+        return str(unknown_name(f"{key}.kind", str(fault["ctx"]["tag"]), kinds))
     if kind == "missing":
         return f"key {key!r} is missing{_allowed(model_class, location)}"
     reason = _reason(fault)
@@ -248,7 +241,7 @@ def _sentence(model_class: type[BaseModel], fault: dict[str, Any]) -> str:
         reason = f"a list of tables is needed, [[{key}]] before each" if tables else "a list is needed, such as [1, 2]"
     if isinstance(fault.get("input"), _Lax):
         reason = fault["input"].needed
-    if not location:  # a check of the whole model: its sentence says it all
+    if not location:  # a check of the whole model
         return reason
     given = fault.get("input")
     is_table = isinstance(given, Mapping) and bool(_owners(model_class, location))
@@ -266,8 +259,8 @@ def _reason(fault: Mapping[str, Any]) -> str:
     for kind, least, words in (("too_short", "min_length", "at least"), ("too_long", "max_length", "at most")):
         if fault["type"] == kind and "actual_length" in limits:
             return f"{words} {limits[least]} values are needed, not {limits['actual_length']}"
-    said = str(fault["msg"]).removeprefix("Value error, ").replace("\n", " ")
-    return said.replace("Input should be ", "it must be ")
+    message = str(fault["msg"]).removeprefix("Value error, ").replace("\n", " ")
+    return message.replace("Input should be ", "it must be ")
 
 
 def _dotted(model_class: type[BaseModel], prefix: str = "", levels: int = MOST_LEVELS) -> Iterator[str]:
@@ -279,19 +272,19 @@ def _dotted(model_class: type[BaseModel], prefix: str = "", levels: int = MOST_L
             yield from _dotted(inner, f"{prefix}{name}.", levels - 1)
 
 
-def _nearest(name: str, beside: Iterable[str], everywhere: Iterable[str]) -> str:
-    """The key that was meant: of the same table, or with its table where another one has a nearer; "" for none."""
+def _nearest(name: str, siblings: Iterable[str], all_keys: Iterable[str]) -> str:
+    """The intended key: of the same table, or a nearer one of another table with its path; "" for none."""
 
     def likeness(key: str) -> float:
         last = key.rpartition(".")[2]
         return max(
             difflib.SequenceMatcher(None, name, last).ratio(),
-            0.98 * difflib.SequenceMatcher(None, name, last.rpartition("_")[0]).ratio(),  # its unit was left out
+            0.98 * difflib.SequenceMatcher(None, name, last.rpartition("_")[0]).ratio(),  # without its unit
         )
 
-    here = max(beside, key=likeness, default="")
-    there = max(everywhere, key=likeness, default="")
-    best = there if there and likeness(there) > max(likeness(here) + 0.05, 0.75) else here
+    sibling = max(siblings, key=likeness, default="")
+    other = max(all_keys, key=likeness, default="")
+    best = other if other and likeness(other) > max(likeness(sibling) + 0.05, 0.75) else sibling
     return best if best and likeness(best) >= 0.5 else ""
 
 
@@ -323,9 +316,10 @@ def _kind(model_class: type[BaseModel]) -> Any:
 
 
 def _is_tag(owners: list[type[BaseModel]], step: int | str) -> bool:
-    """Whether a step of a location is the ``kind`` of a model among other types, which is no key."""
+    """Whether a step of a location is the ``kind`` of a model among other types; a key of a single model may be
+    named as a kind."""
     kinds = [_kind(owner) for owner in owners if "kind" in owner.model_fields]
-    is_key = len(owners) == 1 and step in owners[0].model_fields  # a model's only kind may be called as one of its keys
+    is_key = len(owners) == 1 and step in owners[0].model_fields
     return step in kinds and not is_key
 
 
@@ -363,7 +357,7 @@ def allowed_range(field: FieldInfo) -> str:
         for constraint in _constraints(field)
         if getattr(constraint, name, None) is not None
     ]
-    return " and ".join(dict.fromkeys(bounds))  # items of a list may each have the same ones
+    return " and ".join(dict.fromkeys(bounds))  # items of a list repeat them
 
 
 def _number(value: Any) -> str:

@@ -24,7 +24,7 @@ from optics.arrays import NUMPY, ArrayNamespace, FloatArray
 from optics.errors import ConfigError, DomainError, unknown_name
 
 LARGEST_EXPONENT = 24
-"""Of a wavelength; published formulas go to 12. Powers are products of as many factors."""
+"""Largest power of the wavelength, computed as a product; published formulas go to 12."""
 
 _Numbers = Sequence[float]
 
@@ -34,7 +34,7 @@ class Form:
     """Structure of a dispersion formula; its numbers are ordered as factors of the powers, strengths, resonances."""
 
     squared: bool  # Whether the sum is n^2 (else n)
-    constant: float = 0.0  # What the sum begins with
+    constant: float = 0.0  # First term of the sum
     powers: tuple[float, ...] = ()  # Exponents of the wavelength; whole or half
     # (int, int) For each resonance the exponent of the wavelength in its numerator and the order of the pole
     poles: tuple[tuple[int, int], ...] = ()
@@ -140,85 +140,85 @@ class Dispersion:
         return np.sqrt(total) if self.form.squared else total
 
 
-_Made = tuple[Form, tuple[float, ...]]
+_Parsed = tuple[Form, tuple[float, ...]]
 
 
-def _sum(squared: bool, exponents: Sequence[float]) -> Callable[[_Numbers], _Made]:
+def _sum(squared: bool, exponents: Sequence[float]) -> Callable[[_Numbers], _Parsed]:
     """Powers only; catalogues may leave out trailing coefficients."""
 
-    def make(c: _Numbers) -> _Made:
+    def parse(c: _Numbers) -> _Parsed:
         if not 0 < len(c) <= len(exponents):
             raise ValueError
         used = [(p, x) for p, x in zip(exponents, c, strict=False) if x != 0.0] or [(0.0, 0.0)]
         return Form(squared, 0.0, tuple(p for p, _ in used)), tuple(x for _, x in used)
 
-    return make
+    return parse
 
 
-def _resonances(constant: bool) -> Callable[[_Numbers], _Made]:
+def _resonances(constant: bool) -> Callable[[_Numbers], _Parsed]:
     """n^2 = 1 + [A] + sum B l^2 / (l^2 - C)."""
 
-    def make(c: _Numbers) -> _Made:
+    def parse(c: _Numbers) -> _Parsed:
         lead, pairs = (c[:1], c[1:]) if constant else ((), c)
         if len(pairs) % 2 or not c:
             raise ValueError
-        kept = [(b, r) for b, r in zip(pairs[::2], pairs[1::2], strict=True)]
-        form = Form(True, 1.0, (0.0,) * len(lead), ((2, 1),) * len(kept))
-        return form, (*lead, *(b for b, _ in kept), *(r for _, r in kept))
+        terms = [(b, r) for b, r in zip(pairs[::2], pairs[1::2], strict=True)]
+        form = Form(True, 1.0, (0.0,) * len(lead), ((2, 1),) * len(terms))
+        return form, (*lead, *(b for b, _ in terms), *(r for _, r in terms))
 
-    return make
+    return parse
 
 
-def _herzberger(c: _Numbers) -> _Made:
+def _herzberger(c: _Numbers) -> _Parsed:
     a, b, c2, *rest = c
     exponents = tuple(2.0 * (i + 1) for i in range(len(rest)))
     return Form(False, 0.0, (0.0, *exponents), ((0, 1), (0, 2))), (a, *rest, b, c2, 0.028, 0.028)
 
 
-def _sellmeier2(c: _Numbers) -> _Made:
+def _sellmeier2(c: _Numbers) -> _Parsed:
     a, b1, l1, b2, l2 = c
     return Form(True, 1.0, (0.0,), ((2, 1), (0, 1))), (a, b1, b2, l1 * l1, l2 * l2)
 
 
-def _handbook(exponent: int) -> Callable[[_Numbers], _Made]:
-    def make(c: _Numbers) -> _Made:
+def _handbook(exponent: int) -> Callable[[_Numbers], _Parsed]:
+    def parse(c: _Numbers) -> _Parsed:
         a, b, c2, d = c
         return Form(True, 0.0, (0.0, 2.0), ((exponent, 1),)), (a, -d, b, c2)
 
-    return make
+    return parse
 
 
-def _sellmeier4(c: _Numbers) -> _Made:
+def _sellmeier4(c: _Numbers) -> _Parsed:
     a, b, c2, d, e = c
     return Form(True, 0.0, (0.0,), ((2, 1), (2, 1))), (a, b, d, c2, e)
 
 
-def _polynomial(squared: bool) -> Callable[[_Numbers], _Made]:
+def _polynomial(squared: bool) -> Callable[[_Numbers], _Parsed]:
     """F(n) = C1 + C2 l^C3 + C4 l^C5 + ...; refractiveindex.info 3 (squared) and 5."""
 
-    def make(c: _Numbers) -> _Made:
+    def parse(c: _Numbers) -> _Parsed:
         if not squared and len(c) == 2 and c[1] == 0.0:
             c = c[:1]
         if len(c) % 2 == 0 or any((2 * p) % 1 for p in c[2::2]):
             raise ValueError
         return Form(squared, 0.0, (0.0, *c[2::2])), (c[0], *c[1::2])
 
-    return make
+    return parse
 
 
-def _mixed(c: _Numbers) -> _Made:
+def _mixed(c: _Numbers) -> _Parsed:
     """n^2 = C1 + C2 l^C3 / (l^2 - C4^C5) + C6 l^C7 / (l^2 - C8^C9) + C10 l^C11 + ...; refractiveindex.info 4."""
     padded = [*c, *[0.0] * max(0, 9 - len(c))]
     poles = [padded[1:5], padded[5:9]]
     pairs = list(zip(padded[9::2], padded[10::2], strict=True))
     if any(p % 1 for _, p, _, _ in poles) or any((2 * p) % 1 for _, p in pairs):
         raise ValueError
-    kept = [(b, int(p), base**e) for b, p, base, e in poles if b != 0.0]
-    form = Form(True, 0.0, (0.0, *(p for _, p in pairs)), tuple((p, 1) for _, p, _ in kept))
-    return form, (padded[0], *(a for a, _ in pairs), *(b for b, _, _ in kept), *(r for _, _, r in kept))
+    resonances = [(b, int(p), base**e) for b, p, base, e in poles if b != 0.0]
+    form = Form(True, 0.0, (0.0, *(p for _, p in pairs)), tuple((p, 1) for _, p, _ in resonances))
+    return form, (padded[0], *(a for a, _ in pairs), *(b for b, _, _ in resonances), *(r for _, _, r in resonances))
 
 
-def _gas(c: _Numbers) -> _Made:
+def _gas(c: _Numbers) -> _Parsed:
     """n - 1 = C1 + sum C2 / (C3 - l^-2) = C1 + sum (C2 / C3) l^2 / (l^2 - 1 / C3); refractiveindex.info 6."""
     if len(c) % 2 == 0:
         raise ValueError
@@ -227,7 +227,7 @@ def _gas(c: _Numbers) -> _Made:
     return form, (c[0], *(b / r for b, r in pairs), *(1.0 / r for _, r in pairs))
 
 
-FORMULAS: dict[str, Callable[[_Numbers], _Made]] = {
+FORMULAS: dict[str, Callable[[_Numbers], _Parsed]] = {
     "schott": _sum(True, (0, 2, -2, -4, -6, -8)),
     "sellmeier": _resonances(constant=False),
     "herzberger": _herzberger,

@@ -75,46 +75,46 @@ def _past_the_image(lens: LensSystem, number: int, behind_mm: float, name: str) 
     ]
 
 
-def _on_one_axis(one: Surface, other: Surface) -> float | None:
+def _axial_distance(front: Surface, back: Surface) -> float | None:
     """Distance from one vertex to the other along the axis of both, None where they do not share one."""
-    shift = one.rotation.T @ (other.position_mm - one.position_mm)
-    same = np.array_equal(one.rotation, other.rotation) and not shift[:2].any()
-    return float(shift[2]) if same and one.shape.rotational and other.shape.rotational else None
+    shift = front.rotation.T @ (back.position_mm - front.position_mm)
+    coaxial = np.array_equal(front.rotation, back.rotation) and not shift[:2].any()
+    return float(shift[2]) if coaxial and front.shape.rotational and back.shape.rotational else None
 
 
 def crossings(lens: LensSystem) -> list[SurfaceCrossing]:
     """Surfaces that follow each other and meet inside both their rims."""
     real = [(i, s) for i, s in enumerate(lens.surfaces) if s.shape.curvature != 0.0 or acts(lens, i)]
-    found = []
-    for (i, one), (j, other) in itertools.pairwise(real):
-        distance = _on_one_axis(one, other)
-        radius = min(one.semi_diameter_mm, other.semi_diameter_mm)
+    faults = []
+    for (i, front), (j, back) in itertools.pairwise(real):
+        distance = _axial_distance(front, back)
+        radius = min(front.semi_diameter_mm, back.semi_diameter_mm)
         if distance is None or not math.isfinite(radius):
             continue
         height = np.linspace(0.0, radius, HEIGHTS)
         with np.errstate(all="ignore"):  # powers of an absurd asphere
-            gap = distance + other.shape.sag(height, 0.0 * height) - one.shape.sag(height, 0.0 * height)
+            gap = distance + back.shape.sag(height, 0.0 * height) - front.shape.sag(height, 0.0 * height)
         if not np.isfinite(gap).all():
             message = f"{lens.label(i)} or {lens.label(j)} does not reach its rim at {radius:g} mm"
         elif gap.min() < -TOUCHING_MM:
-            what = f"{one.medium} between them would be" if one.medium != "air" else "they would overlap by"
+            what = f"{front.medium} between them would be" if front.medium != "air" else "they would overlap by"
             at = height[int(np.argmin(gap))]
-            amount = f"{gap.min():.4g}" if one.medium != "air" else f"{-gap.min():.4g}"
+            amount = f"{gap.min():.4g}" if front.medium != "air" else f"{-gap.min():.4g}"
             message = (
                 f"{lens.label(i)} and {lens.label(j)} cross: at {at:.4g} mm from the axis {what} {amount} mm; at least "
                 "0 mm is needed: check radii, thickness_mm and semi_diameter_mm"
             )
-        elif distance < TOUCHING_MM and one.medium not in ("air", "vacuum") and not one.mirror and not other.mirror:
+        elif distance < TOUCHING_MM and front.medium not in ("air", "vacuum") and not front.mirror and not back.mirror:
             message = (
-                f"{one.medium} between {lens.label(i)} and {lens.label(j)} has no thickness on the axis; it must be "
+                f"{front.medium} between {lens.label(i)} and {lens.label(j)} has no thickness on the axis; it must be "
             )
             message += "more than 0 mm: check thickness_mm"
             gap[0] = -math.inf  # from the axis on
         else:
             continue
         first = float(height[int(np.argmax(~(gap >= -TOUCHING_MM)))])
-        found.append(SurfaceCrossing(surfaces=(i, j), from_mm=first, message=message))
-    return found
+        faults.append(SurfaceCrossing(surfaces=(i, j), from_mm=first, message=message))
+    return faults
 
 
 def idle_stop(lens: LensSystem) -> list[str]:
@@ -143,12 +143,12 @@ def idle_stop(lens: LensSystem) -> list[str]:
 def axial_ray(lens: LensSystem) -> tuple[FloatArray, float]:
     """Paraxial heights (surfaces,) of a ray that is parallel to the axis at height 1, and the focal length [mm]."""
     index = lens.indices(lens.design_wavelength_nm)
-    y, nu, at, found = 1.0, 0.0, lens.surfaces[0].position_mm, []
+    y, nu, at, heights = 1.0, 0.0, lens.surfaces[0].position_mm, []
     for i, surface in enumerate(lens.surfaces):
         y += float((surface.position_mm - at) @ lens.axis[i]) * nu / float(index[i])
         nu -= y * surface.shape.power(
             *(float(n) for n in (index[i], -index[i] if surface.mirror else index[i + 1], index[0]))
         )
         at = surface.position_mm
-        found.append(y)
-    return np.array(found), -float(index[-1]) / nu if nu else math.inf
+        heights.append(y)
+    return np.array(heights), -float(index[-1]) / nu if nu else math.inf

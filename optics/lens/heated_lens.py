@@ -189,7 +189,7 @@ def expansion_of(lens: LensSystem, medium: str) -> float:
 
 
 class _Field:
-    """The state on a lens: temperatures by place."""
+    """The state on a lens: temperatures over z."""
 
     def __init__(self, lens: LensSystem, state: ThermalState, housing: Housing) -> None:
         z = np.array([position[2] for position, _ in lens.poses])
@@ -202,7 +202,7 @@ class _Field:
                 raise unknown_name("element or spacer", name, tuple(n for n in names if n))
 
     def kelvin(self, z_mm: float) -> float:
-        """Temperature on the axis at a place [K]."""
+        """Temperature change on the axis at z [K]."""
         return self.state.mean_k + self.state.axial_k * ((z_mm - self.front) / self.length - 0.5)
 
     def _bodies(self) -> list[_Body]:
@@ -229,15 +229,15 @@ class _Field:
 
     def radius_mm(self, body: _Body) -> float:
         """Radius of an element for radial gradients."""
-        known = [s.semi_diameter_mm for s in self.lens.surfaces[body.first : body.last + 1]]
+        rims = [s.semi_diameter_mm for s in self.lens.surfaces[body.first : body.last + 1]]
         mount = self.housing.mounts.get(body.name, Mount())
-        known = [r for r in (*known, mount.front_radius_mm, mount.back_radius_mm) if 0.0 < r < math.inf]
-        if not known:
+        radii = [r for r in (*rims, mount.front_radius_mm, mount.back_radius_mm) if 0.0 < r < math.inf]
+        if not radii:
             raise DomainError(
                 f"radial gradient in lens {self.lens.name!r}: {self.lens.label(body.first)} has no clear aperture, "
                 "so its radius is unknown; give semi_diameter_mm in the lens file"
             )
-        return max(known)
+        return max(radii)
 
     @property
     def diameter_mm(self) -> float:
@@ -251,7 +251,7 @@ class _Field:
         return 2.0 * widest
 
 
-def _warmed_surface(lens: LensSystem, index: int, vertex: FloatArray, kelvin: float, housing: float) -> Surface:
+def _expanded_surface(lens: LensSystem, index: int, vertex: FloatArray, kelvin: float, housing: float) -> Surface:
     """Surface at its new vertex, its shape expanded with the glass or the mirror it belongs to."""
     surface = lens.surfaces[index]
     before = lens.surfaces[index - 1].medium if index else AMBIENT
@@ -276,7 +276,7 @@ def heated_lens(
 ) -> LensSystem:
     """The lens in a temperature field; its dimensions hold at the uniform temperature of its environment.
 
-    A length L becomes L exp(cte dT), so that going back from a uniform temperature cancels exactly. A cemented surface
+    A length L becomes L exp(cte dT), so that opposite uniform steps cancel exactly. A cemented surface
     expands by the mean of its two glasses, a mirror with its substrate (``Surface.cte_per_k``) or the housing. Shifts
     across the axis follow the housing.
 
@@ -314,12 +314,12 @@ def heated_lens(
         return lens if environment == lens.environment else replace(lens, environment=environment)
     surfaces, image = _expanded(thermal)
     if state.radial_k:
-        surfaces = _lenses_of_gradient(thermal, surfaces)
+        surfaces = _with_radial_gradient(thermal, surfaces)
     warmed = replace(lens, surfaces=surfaces, image_position_mm=image, environment=environment)
     if state.axial_k or state.radial_k:
-        warmed = _own_glasses(thermal, warmed)
+        warmed = _glasses_at_temperature(thermal, warmed)
     if state.transverse_x_k or state.transverse_y_k:
-        warmed = _bent(thermal, warmed)
+        warmed = _bent_by_gradient(thermal, warmed)
     warmed.indices(lens.design_wavelength_nm)  # refuses glasses without dn/dT now, not at the first trace
     return warmed
 
@@ -332,12 +332,14 @@ def _expanded(thermal: _Field) -> tuple[tuple[Surface, ...], FloatArray]:
     surfaces: list[Surface] = []
     for i, surface in enumerate(lens.surfaces):
         body, start, end = thermal.body(i), old[i], old[i + 1]
-        surfaces.append(_warmed_surface(lens, i, new[i], body.kelvin, housing.expansion_per_k))
+        surfaces.append(_expanded_surface(lens, i, new[i], body.kelvin, housing.expansion_per_k))
         along = ((end - start) @ axis[i + 1]) * axis[i + 1]
         if i == body.last:
             behind = thermal.body(i + 1)
             expansion, kelvin = thermal.spacer(behind)
-            step = along * math.exp(expansion * kelvin) + axis[i + 1] * _at_rims(thermal, body, behind, surfaces[i])
+            step = along * math.exp(expansion * kelvin) + axis[i + 1] * _rim_contact_change(
+                thermal, body, behind, surfaces[i]
+            )
         else:
             expansion, kelvin = expansion_of(lens, surface.medium), body.kelvin
             centre = -0.5 * state.radial_k * (1.0 + housing.poisson_ratio)  # of a disc whose mean stays
@@ -347,7 +349,7 @@ def _expanded(thermal: _Field) -> tuple[tuple[Surface, ...], FloatArray]:
     return tuple(surfaces), new[-1]
 
 
-def _at_rims(thermal: _Field, front: _Body, behind: _Body, grown: Surface) -> float:
+def _rim_contact_change(thermal: _Field, front: _Body, behind: _Body, grown: Surface) -> float:
     """Change of a gap because its spacer touches faces away from the vertices [mm]."""
     lens = thermal.lens
     expansion, kelvin = thermal.spacer(behind)
@@ -357,15 +359,11 @@ def _at_rims(thermal: _Field, front: _Body, behind: _Body, grown: Surface) -> fl
     for body, index, radius, sign in touched:
         if not radius or index == len(lens.surfaces):
             continue
-        new = (
-            grown
-            if body is front
-            else _warmed_surface(lens, index, np.zeros(3), body.kelvin, thermal.housing.expansion_per_k)
-        )
-        sags = [
-            float(one.shape.sag(np.array(r), np.zeros(())))
-            for one, r in ((lens.surfaces[index], radius), (new, radius * growth))
-        ]
+        new = grown
+        if body is not front:
+            new = _expanded_surface(lens, index, np.zeros(3), body.kelvin, thermal.housing.expansion_per_k)
+        contacts = ((lens.surfaces[index], radius), (new, radius * growth))
+        sags = [float(surface.shape.sag(np.array(r), np.zeros(()))) for surface, r in contacts]
         if not np.all(np.isfinite(sags)):
             raise DomainError(
                 f"mount of {body.name} at radius {radius:g} mm: {lens.label(index)} ends inside this radius"
@@ -374,7 +372,7 @@ def _at_rims(thermal: _Field, front: _Body, behind: _Body, grown: Surface) -> fl
     return change
 
 
-def _own_glasses(thermal: _Field, lens: LensSystem) -> LensSystem:
+def _glasses_at_temperature(thermal: _Field, lens: LensSystem) -> LensSystem:
     """Every element with glasses at its own temperature on the axis: the same ones, their reference moved."""
     surfaces, glasses = list(lens.surfaces), {}
     for i, surface in enumerate(lens.surfaces):
@@ -412,9 +410,9 @@ def _index_slope(thermal: _Field, medium: str, kelvin: float) -> tuple[float, fl
     return 0.5 * (low + high) / air, (high - low) / air
 
 
-def _wedge_of(thermal: _Field, body: _Body) -> tuple[FloatArray, float, float]:
+def _wedge(thermal: _Field, body: _Body) -> tuple[FloatArray, float, float]:
     """Change of the thicknesses (glasses,) of an element per K of a gradient [mm/K], and of the sag of its first and
-    last face, half each of what the index changes."""
+    last face, each for half of the change of index."""
     lens = thermal.lens
     mechanical, path, index = [], 0.0, []
     for i in range(body.first, body.last):
@@ -431,24 +429,24 @@ def _is_glass(lens: LensSystem, body: _Body) -> bool:
     return body.last > body.first and not any(s.mirror for s in lens.surfaces[body.first : body.last + 1])
 
 
-def _lenses_of_gradient(thermal: _Field, surfaces: tuple[Surface, ...]) -> tuple[Surface, ...]:
+def _with_radial_gradient(thermal: _Field, surfaces: tuple[Surface, ...]) -> tuple[Surface, ...]:
     """The surfaces with the quadratic part of a radial gradient in every element."""
-    made, state = list(surfaces), thermal.state
+    changed, state = list(surfaces), thermal.state
     for body in thermal.bodies:
         if not _is_glass(thermal.lens, body):
             continue
         quadratic = state.radial_k / thermal.radius_mm(body) ** 2
-        grown, front, back = _wedge_of(thermal, body)
+        grown, front, back = _wedge(thermal, body)
         sag = np.concatenate([[0.0], np.cumsum(grown)]) * (1.0 + thermal.housing.poisson_ratio)
         sag -= 0.5 * sag[-1]
         sag[0], sag[-1] = sag[0] + front, sag[-1] + back
-        for i, one in zip(range(body.first, body.last + 1), sag, strict=True):
-            shape = _more_curved(thermal.lens, i, made[i].shape, 2.0 * float(one) * quadratic)
-            made[i] = replace(made[i], shape=shape)
-    return tuple(made)
+        for i, sag_per_k in zip(range(body.first, body.last + 1), sag, strict=True):
+            shape = _with_curvature(thermal.lens, i, changed[i].shape, 2.0 * float(sag_per_k) * quadratic)
+            changed[i] = replace(changed[i], shape=shape)
+    return tuple(changed)
 
 
-def _more_curved(lens: LensSystem, index: int, shape: Shape, by: float) -> Shape:
+def _with_curvature(lens: LensSystem, index: int, shape: Shape, by: float) -> Shape:
     """The shape with ``by r^2 / 2`` added to its sag; exact to the fourth order in r."""
     if by == 0.0:
         return shape
@@ -466,23 +464,23 @@ def _more_curved(lens: LensSystem, index: int, shape: Shape, by: float) -> Shape
     return replace(shape, radius_mm=1.0 / new, conic=conic)  # type: ignore[call-arg]
 
 
-def _bent(thermal: _Field, lens: LensSystem) -> LensSystem:
+def _bent_by_gradient(thermal: _Field, lens: LensSystem) -> LensSystem:
     """The lens in a housing bent by a transverse gradient, its elements wedges."""
     gradient = np.array([thermal.state.transverse_x_k, thermal.state.transverse_y_k]) / thermal.diameter_mm
     surfaces = list(lens.surfaces)
     for body in thermal.bodies:
-        slope, shift = (factor * gradient for factor in _bend(thermal, body.z_mm))
-        turn = _leaning(slope)
+        slope, shift = (factor * gradient for factor in _deflection(thermal, body.z_mm))
+        turn = _tilt(slope)
         middle = np.array([0.0, 0.0, 0.5 * (lens.poses[body.first][0][2] + lens.poses[body.last][0][2])])
         middle_after = middle + np.array([shift[0], shift[1], 0.0])
         if body.name == DETECTOR and body.first == len(surfaces):
-            place = turn @ (lens.image_position_mm - middle) + middle_after
-            lens = replace(lens, image_position_mm=place, image_rotation=turn @ lens.image_rotation)
+            position = turn @ (lens.image_position_mm - middle) + middle_after
+            lens = replace(lens, image_position_mm=position, image_rotation=turn @ lens.image_rotation)
             continue
         tilts = np.zeros(body.last - body.first + 1)
         along = float(np.sign(lens.poses[body.last][0][2] - lens.poses[body.first][0][2]))  # -1 behind a mirror
         if _is_glass(thermal.lens, body):
-            grown, front, back = _wedge_of(thermal, body)
+            grown, front, back = _wedge(thermal, body)
             tilts = np.concatenate([[0.0], np.cumsum(grown)]) - 0.5 * grown.sum()
             tilts[0], tilts[-1] = tilts[0] + front, tilts[-1] + back
         for i, tilt in zip(range(body.first, body.last + 1), tilts, strict=True):
@@ -490,17 +488,17 @@ def _bent(thermal: _Field, lens: LensSystem) -> LensSystem:
             surfaces[i] = replace(
                 old,
                 position_mm=turn @ (old.position_mm - middle) + middle_after,
-                rotation=turn @ _leaning(-along * float(tilt) * gradient) @ old.rotation,
+                rotation=turn @ _tilt(-along * float(tilt) * gradient) @ old.rotation,
             )
     return replace(lens, surfaces=tuple(surfaces))
 
 
-def _leaning(slope: FloatArray) -> FloatArray:
-    """Rotation that leans the z axis by slopes (2,) towards x and y."""
+def _tilt(slope: FloatArray) -> FloatArray:
+    """Rotation that tilts the z axis by slopes (2,) towards x and y."""
     return Rotation.from_rotvec([-slope[1], slope[0], 0.0]).as_matrix()
 
 
-def _bend(thermal: _Field, z_mm: float) -> tuple[float, float]:
+def _deflection(thermal: _Field, z_mm: float) -> tuple[float, float]:
     """Slope and deflection of the housing at z over the gradient [mm/K, mm^2/K]; both zero where it is held."""
     fixed = thermal.housing.mounted_z_mm
     start = float(thermal.lens.image_position_mm[2]) if fixed is None else fixed
@@ -519,9 +517,9 @@ def _bend(thermal: _Field, z_mm: float) -> tuple[float, float]:
 
 def _expansion_at(thermal: _Field, z_mm: float) -> float:
     """Expansion of the housing at z: of the spacer in a gap, of the barrel elsewhere [1/K]."""
-    own = thermal.housing.spacers_per_k
-    for body in thermal.bodies[1:] if own else ():
+    spacers_per_k = thermal.housing.spacers_per_k
+    for body in thermal.bodies[1:] if spacers_per_k else ():
         ends = sorted(float(thermal.lens.poses[i][0][2]) for i in (body.first - 1, body.first))
-        if body.name in own and ends[0] <= z_mm <= ends[1]:
-            return own[body.name]
+        if body.name in spacers_per_k and ends[0] <= z_mm <= ends[1]:
+            return spacers_per_k[body.name]
     return thermal.housing.expansion_per_k

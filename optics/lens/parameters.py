@@ -86,11 +86,11 @@ Change = Callable[[LensSystem, tuple[int, ...], FloatArray, FloatArray], LensSys
 
 def _shape(lens: LensSystem, surface: int, name: str, value: object) -> LensSystem:
     """The lens with one number of a surface's shape replaced."""
-    one = lens.surfaces[surface]
-    if not hasattr(one.shape, name):
+    current = lens.surfaces[surface]
+    if not hasattr(current.shape, name):
         number = "curvature" if name == "radius_mm" else name
-        raise DomainError(f"{lens.label(surface)} of lens {lens.name!r} is a {one.shape.kind}; it has no {number}")
-    return lens.with_surfaces({surface: replace(one, shape=replace(one.shape, **{name: value}))})
+        raise DomainError(f"{lens.label(surface)} of lens {lens.name!r} is a {current.shape.kind}; it has no {number}")
+    return lens.with_surfaces({surface: replace(current, shape=replace(current.shape, **{name: value}))})
 
 
 def _curvature(lens: LensSystem, at: tuple[int, ...], values: FloatArray, by: FloatArray) -> LensSystem:

@@ -67,7 +67,7 @@ class LocalFrame:
 
 
 def _error_map(table: ErrorTable | None, folder: Path) -> SagMap | None:
-    """The measured deviation that a file holds."""
+    """Map of a measured surface error."""
     if table is None:
         return None
     values = read_map(folder / table.file)
@@ -102,15 +102,15 @@ def _placed(file: Prescription, folder: Path, labels: Sequence[str]) -> tuple[li
         if isinstance(table, BreakTable):
             frame = frame.moved(table).after(table.thickness_mm)
             continue
-        own = frame.moved(table)
+        pose = frame.moved(table)
         if table.carry != "none":
-            frame = own if table.carry == "forward" else LocalFrame(own.origin, frame.axes).bent(own.axes[:, 2])
-        normal = own.axes[:, 2]
+            frame = pose if table.carry == "forward" else LocalFrame(pose.origin, frame.axes).bent(pose.axes[:, 2])
+        normal = pose.axes[:, 2]
         facing = float(light @ normal)
         if abs(facing) < EDGE_ON:
             raise ConfigError(f"{label} is edge-on to the light on the axis; check tilts and breaks before it")
         try:
-            surface = _surface(table, own, medium, folder, label)
+            surface = _surface(table, pose, medium, folder, label)
         except StarbenchError as error:
             raise type(error)(f"{label}: {error}") from None
         surfaces.append(surface if facing > 0.0 else surface.from_behind())
@@ -132,12 +132,12 @@ def _placed(file: Prescription, folder: Path, labels: Sequence[str]) -> tuple[li
 
 
 def _with_stop(file: Prescription, surfaces: list[Surface]) -> list[Surface]:
-    """The surfaces, and among them the stop that stands alone."""
+    """The surfaces with the stop that is not one of the file's list."""
     if file.stop is None:
         return surfaces
     z = file.stop.z_mm
-    place = next((i for i, s in enumerate(surfaces) if s.position_mm[2] >= z), len(surfaces))
-    if place and any(s.mirror or not np.array_equal(s.rotation, np.eye(3)) for s in surfaces[:place]):
+    index = next((i for i, s in enumerate(surfaces) if s.position_mm[2] >= z), len(surfaces))
+    if any(s.mirror or not np.array_equal(s.rotation, np.eye(3)) for s in surfaces[:index]):
         raise ConfigError(
             f"stop.z_mm = {z:g} mm stands behind a tilted surface or a mirror; give the stop as a surface with "
             "stop = true"
@@ -145,17 +145,17 @@ def _with_stop(file: Prescription, surfaces: list[Surface]) -> list[Surface]:
     stop = Surface(
         shape=Plane(),
         position_mm=np.array([0.0, 0.0, z]),
-        medium=surfaces[place - 1].medium if place else AMBIENT,
+        medium=surfaces[index - 1].medium if index else AMBIENT,
         semi_diameter_mm=file.stop.semi_diameter_mm,
         inner_semi_diameter_mm=file.stop.inner_semi_diameter_mm,
         is_stop=True,
         label=STOP_ALONE,
     )
-    return [*surfaces[:place], stop, *surfaces[place:]]
+    return [*surfaces[:index], stop, *surfaces[index:]]
 
 
 def _glasses(file: Prescription, media: list[str], where: str) -> dict[str, Glass]:
-    """Records of the glasses that the surfaces name; the file's own come before the catalogue's."""
+    """Records of the glasses that the surfaces name; those defined in the file come before the catalogue's."""
     glasses = {}
     for name in dict.fromkeys(medium for medium in media if medium != AMBIENT):
         table = file.glass.get(name)
@@ -169,22 +169,22 @@ def _glasses(file: Prescription, media: list[str], where: str) -> dict[str, Glas
 
 
 def _coated(file: Prescription, lens: LensSystem, names: Mapping[str, str]) -> LensSystem:
-    """The lens with its coatings; ``names`` are what labels of surfaces name."""
+    """The lens with its coatings; ``names`` by label of the surface."""
 
     def glass_of(name: str) -> Glass:
         return _glasses(file, [name], "film")[name]
 
-    made = file.coatings(glass_of)
+    coatings = file.coatings(glass_of)
     for name in (file.default_coating, *names.values()):
-        if name and name not in made:
-            raise unknown_name("coating", name, made)
+        if name and name not in coatings:
+            raise unknown_name("coating", name, coatings)
     changed = {}
     for number, (surface, (before, _)) in enumerate(zip(lens.surfaces, lens.media, strict=False)):
         air_glass = (before == AMBIENT) != (surface.medium == AMBIENT)
         name = names.get(surface.label, "") or (file.default_coating if air_glass else "")
         if name and (surface.mirror or (before, surface.medium) != (AMBIENT, AMBIENT)):
             try:
-                changed[number] = replace(surface, coating=made[name])
+                changed[number] = replace(surface, coating=coatings[name])
             except ConfigError as error:
                 raise ConfigError(f"{surface.label}: {error}") from None
     return lens.with_surfaces(changed)
@@ -203,7 +203,7 @@ def _parsed(mapping: Mapping[str, Any], where: str, labels: Sequence[str] | None
     except ConfigError as error:
         if labels is None:
             raise
-        named = re.sub(r"\bsurface\.(\d+)\.", lambda found: f"{labels[int(found[1])]}: ", str(error))
+        named = re.sub(r"\bsurface\.(\d+)\.", lambda match: f"{labels[int(match[1])]}: ", str(error))
         raise ConfigError(named) from None
 
 
@@ -271,7 +271,7 @@ def lens_from_table(
 
 
 def _opened(lens: LensSystem, pupil: PupilTable, where: str) -> LensSystem:
-    """The lens with its stop as wide as an F-number or an entrance pupil says."""
+    """The lens with its stop opened to an F-number or an entrance pupil."""
     height, focal_mm = axial_ray(lens)
     diameter = pupil.entrance_pupil_diameter_mm
     if pupil.f_number is not None:

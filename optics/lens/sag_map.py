@@ -26,7 +26,7 @@ class SagMap:
     values_mm: FloatArray  # (rows, columns) Added to the sag z(x, y) [mm]; rows along +y, columns along +x
     # (x, y) Distance between first and last column, and between first and last row [mm]; the middle is the vertex
     width_mm: tuple[float, float]
-    # (rows + 2, columns + 2) Coefficients of the uniform cubic B-splines [mm]; made here
+    # (rows + 2, columns + 2) Coefficients of the uniform cubic B-splines [mm]; computed from the values
     spline: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -84,9 +84,9 @@ def read_map(path: Path) -> FloatArray:
 def _weights(u: Any, count: int, xp: ArrayNamespace) -> tuple[Any, list[Any], list[Any], Any]:
     """First of four splines at grid coordinate u, their values and slopes, whether u lies on the grid."""
     inside = (u >= 0.0) & (u <= count - 1.0)
-    kept = xp.where(inside, u, 0.0)
-    first = xp.whole(xp.minimum(kept, count - 2.0))
-    t = kept - first
+    u = xp.where(inside, u, 0.0)
+    first = xp.whole(xp.minimum(u, count - 2.0))
+    t = u - first
     s = 1.0 - t
     values = [
         s * s * s / 6.0,

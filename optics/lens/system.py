@@ -259,12 +259,12 @@ class LensSystem:
         """
         self.check_wavelength(wavelength_nm)
         wavelength = np.asarray(wavelength_nm, float)
-        known = {}
+        indices = {}
         for name, offset in dict.fromkeys(self.media):
             glass = None if name == AMBIENT else self.glasses[name]
             numbers, form, thermal = index_parameters(glass, self.environment, offset)
-            known[name, offset] = IndexFormula(at=0, form=form, thermal=thermal).index(numbers, wavelength, NUMPY)
-        return np.stack([known[medium] for medium in self.media])
+            indices[name, offset] = IndexFormula(at=0, form=form, thermal=thermal).index(numbers, wavelength, NUMPY)
+        return np.stack([indices[medium] for medium in self.media])
 
     def check_wavelength(self, wavelength_nm: FloatArray | float) -> None:
         """Raise DomainError if a wavelength is outside the range of one of the glasses or of the throughput."""
@@ -294,10 +294,10 @@ class LensSystem:
         ConfigError
             If there is no such element.
         """
-        found = tuple(i for i, surface in enumerate(self.surfaces) if surface.element == element)
-        if not found:
+        selected = tuple(i for i, surface in enumerate(self.surfaces) if surface.element == element)
+        if not selected:
             raise unknown_name("element", element, self.elements)
-        return found
+        return selected
 
     def check_surfaces(self) -> None:
         """Raise DomainError for a measured lens, which has no surfaces."""

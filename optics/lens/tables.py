@@ -34,7 +34,7 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Expansion = Annotated[float, Field(ge=-1e-3, le=1e-3)]
 Length = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
-"""[mm]; beyond a kilometre it is a slip of the pen."""
+"""[mm]; more than a kilometre is a typing error."""
 Two = tuple[FiniteFloat, FiniteFloat]
 Three = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 
@@ -113,9 +113,14 @@ def _keys(record: Any) -> dict[str, Any]:
     """Keys of a table that describes a record: its fields, their annotations the checks."""
     hints = get_type_hints(record, include_extras=True)
     keys: dict[str, Any] = {"kind": (Literal[record.kind], record.kind)}
-    for one in fields(record):
-        keys[one.name] = (hints[one.name], ... if one.default is MISSING else one.default)
+    for field in fields(record):
+        keys[field.name] = (hints[field.name], ... if field.default is MISSING else field.default)
     return keys
+
+
+def _values(table: BaseModel, record: Any) -> dict[str, Any]:
+    """Fields of a record by the keys of its table."""
+    return {field.name: getattr(table, field.name) for field in fields(record)}
 
 
 class ApertureTable(StrictTable):
@@ -130,9 +135,9 @@ class ApertureTable(StrictTable):
 
     def aperture(self) -> Aperture:
         """The outline that the table describes."""
-        made = next(kind for kind in APERTURES if kind.kind == self.kind)
+        outline = next(kind for kind in APERTURES if kind.kind == self.kind)
         try:
-            return made(**{one.name: getattr(self, one.name) for one in fields(made)})
+            return outline(**_values(self, outline))
         except DomainError as error:
             raise ValueError(str(error)) from None
 
@@ -184,9 +189,9 @@ class SurfaceTable(MovedTable):
 
     def shape(self) -> Shape:
         """The shape that the table describes."""
-        shape = next(shape for shape in SHAPES if shape.kind == self.kind)
-        made = shape(**{one.name: getattr(self, one.name) for one in fields(shape)})
-        return made if "kind" in self.model_fields_set else made.simplest()
+        kind = next(shape for shape in SHAPES if shape.kind == self.kind)
+        shape = kind(**_values(self, kind))
+        return shape if "kind" in self.model_fields_set else shape.simplest()
 
 
 def _kind_of(table: Any) -> Any:
@@ -276,7 +281,7 @@ class QuarterWaveTable(StrictTable):
         return QuarterWave(design_wavelength_nm=self.design_wavelength_nm, film=glass_of(self.material))
 
 
-Shares = tuple[tuple[FiniteFloat, ...], ...]
+Fractions = tuple[tuple[FiniteFloat, ...], ...]
 """A row for every angle, a value for every wavelength."""
 
 
@@ -287,22 +292,22 @@ class ReflectanceTable(StrictTable):
     source: Annotated[str, Field(min_length=1)]
     wavelength_nm: tuple[Positive, ...]
     angle_deg: tuple[NotNegative, ...] = (0.0,)
-    reflectance: Shares | None = None
-    reflectance_s: Shares | None = None
-    reflectance_p: Shares | None = None
-    transmittance: Shares | None = None
-    transmittance_s: Shares | None = None
-    transmittance_p: Shares | None = None
+    reflectance: Fractions | None = None
+    reflectance_s: Fractions | None = None
+    reflectance_p: Fractions | None = None
+    transmittance: Fractions | None = None
+    transmittance_s: Fractions | None = None
+    transmittance_p: Fractions | None = None
 
     @model_validator(mode="after")
     def _both_or_each(self) -> ReflectanceTable:
         for name in ("reflectance", "transmittance"):
-            mean, *each = (getattr(self, name + of) for of in ("", "_s", "_p"))
-            if (mean is not None and any(e is not None for e in each)) or (each[0] is None) != (each[1] is None):
+            both, *each = (getattr(self, name + of) for of in ("", "_s", "_p"))
+            if (both is not None and any(e is not None for e in each)) or (each[0] is None) != (each[1] is None):
                 raise ValueError(f"give {name}, or {name}_s and {name}_p")
-            if name == "reflectance" and mean is None and each[0] is None:
+            if name == "reflectance" and both is None and each[0] is None:
                 raise ValueError("reflectance is missing")
-            for rows in (mean, *each):
+            for rows in (both, *each):
                 shape = (len(self.angle_deg), len(self.wavelength_nm))
                 if rows is not None and (len(rows) != shape[0] or any(len(row) != shape[1] for row in rows)):
                     raise ValueError(f"{name} needs {shape[0]} rows (angles) of {shape[1]} values (wavelengths)")
@@ -353,12 +358,12 @@ class Prescription(StrictTable):
 
     def coatings(self, glass_of: Callable[[str], Glass]) -> dict[str, Coating]:
         """Coatings by name; ConfigError for an invalid one."""
-        made: dict[str, Coating] = {UNCOATED: BARE}
+        coatings: dict[str, Coating] = {UNCOATED: BARE}
         for name, table in self.coating.items():
             if name == UNCOATED:
                 raise ConfigError(f"coating {name!r} is reserved; use another name")
             try:
-                made[name] = table.coating(glass_of)
+                coatings[name] = table.coating(glass_of)
             except DomainError as error:
                 raise ConfigError(f"coating {name!r}: {error}") from None
-        return made
+        return coatings

@@ -49,7 +49,7 @@ class Shape(ABC):
     rotational : bool
         Whether the surface is one of revolution about its z axis; only then it has paraxial quantities.
     redirects : bool
-        Whether it turns light by a rule of its own, `redirect`, in place of Snell's law.
+        Whether it turns light by its own rule, `redirect`, in place of Snell's law.
     """
 
     kind: ClassVar[str]
@@ -128,10 +128,10 @@ class Shape(ABC):
         DomainError
             If it has no such number, or the result is not a surface of any kind.
         """
-        known = [field.name for field in fields(self) if isinstance(getattr(self, field.name), int | float)]
-        if name not in known:
+        numbers = [field.name for field in fields(self) if isinstance(getattr(self, field.name), int | float)]
+        if name not in numbers:
             raise DomainError(
-                f"a surface of kind {self.kind} has no {name}; it has {', '.join(known) or 'no parameter'}"
+                f"a surface of kind {self.kind} has no {name}; it has {', '.join(numbers) or 'no parameter'}"
             )
         return replace(self, **{name: getattr(self, name) + by})
 

@@ -52,7 +52,7 @@ class Curved(Shape):
     def scaled(self, factor: float) -> Self:
         """The surface expanded uniformly; a kind with numbers that are no lengths (fields ``..._mm``) has its own."""
         grown: dict[str, Any] = {}
-        for name in (one.name for one in fields(self) if one.name.endswith("_mm")):
+        for name in (field.name for field in fields(self) if field.name.endswith("_mm")):
             length = getattr(self, name)
             grown[name] = tuple(a * factor for a in length) if isinstance(length, tuple) else length * factor
         return replace(self, **grown)
@@ -126,7 +126,7 @@ def newton_hit(profile: Profile, start: Any, x: Any, y: Any, d: Sequence[Any], x
 class Asphere(Curved):
     """A conic and a departure from it, both of revolution; ``radius_mm`` may be infinite.
 
-    A kind says what its `profile` is; its `parameters` begin with curvature and conic constant.
+    A kind defines its `profile`; its `parameters` begin with curvature and conic constant.
     """
 
     radius_mm: float = math.inf
