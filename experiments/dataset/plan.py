@@ -160,7 +160,7 @@ def _scan(pointing: ScanPointing, config: DatasetConfig, duration_s: float) -> T
         times, attitudes = read_motion(pointing.file)
         path = SampledAttitude(samples_s=times, attitudes=attitudes)
         if path.end_s - path.start_s < last_s:
-            most = int((path.end_s - path.start_s - duration_s) * pointing.frame_rate_hz) + 1
+            most = int(np.floor((path.end_s - path.start_s - duration_s) * pointing.frame_rate_hz)) + 1
             raise DomainError(
                 f"pointing.file: {pointing.file} lasts {path.end_s - path.start_s:g} s, {config.frames} frames at "
                 f"{pointing.frame_rate_hz:g} Hz need {last_s:g} s; set frames to at most {max(most, 0)}"

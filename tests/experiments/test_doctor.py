@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections import namedtuple
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from packaging.requirements import Requirement
@@ -32,6 +33,73 @@ def by_name(findings):
 
 def engine(cards="", **changes):
     return by_name(engine_findings({**WORKS, **changes}, 0, "", cards))
+
+
+def test_the_probe_computes_with_the_library_that_it_names(engine, capsys):
+    doctor.probe()
+    library, computed = map(json.loads, capsys.readouterr().out.splitlines())
+    assert library["threads"] >= 1
+    assert computed == {"variant": engine.variant, "computed": True}
+
+
+@pytest.mark.parametrize(
+    ("status", "output", "state"), [(0, json.dumps(WORKS), "ok"), (-11, "", "fault"), (None, "", "fault")]
+)
+def test_the_probe_runs_in_a_process_of_its_own(monkeypatch, status, output, state):
+    """It answers, dies by a signal, or never ends; NVIDIA's tool is asked in the same way."""
+
+    def run(command, **options):
+        if command[0] == "nvidia-smi":
+            return SimpleNamespace(stdout="H100, 550.1\nH100, 550.1\n")
+        assert "probe()" in command[-1]
+        if status is None:
+            raise subprocess.TimeoutExpired(command, options["timeout"])
+        return SimpleNamespace(returncode=status, stdout=output, stderr="started\nLLVM ERROR: no\n")
+
+    monkeypatch.setattr(doctor.subprocess, "run", run)
+    found = by_name(doctor.check_backend())
+    assert found["backend"].state == state
+    assert {-11: "signal 11: LLVM ERROR: no", None: "no answer within 60 s", 0: "llvm_ad_mono"}[status] in found[
+        "backend"
+    ].text
+    assert status != 0 or found["GPU"].text == "H100, 550.1, H100, 550.1, but Dr.Jit has no CUDA"
+
+
+def test_no_driver(monkeypatch):
+    def missing(command, **options):
+        raise FileNotFoundError
+
+    monkeypatch.setattr(doctor.subprocess, "run", missing)
+    assert doctor._graphics_cards() == ""
+
+
+def test_caches(tmp_path, monkeypatch):
+    monkeypatch.setattr(doctor.Path, "home", lambda: tmp_path)
+    monkeypatch.setenv("STARBENCH_CACHE", str(tmp_path / "patterns"))
+    (tmp_path / ".drjit").mkdir()
+    (tmp_path / ".drjit" / "kernel").write_bytes(b"k" * 2_000_000)
+    kernels, patterns = doctor.check_caches()
+    assert (kernels.state, kernels.facts["files"], kernels.facts["size_mb"]) == ("ok", 1, 2.0)
+    assert patterns.facts["files"] == 0
+    monkeypatch.setattr(doctor.os, "access", lambda path, mode: False)
+    kernels, patterns = doctor.check_caches()
+    assert "set HOME to a folder that can be written" in kernels.advice
+    assert (patterns.state, "STARBENCH_CACHE" in patterns.advice) == ("note", True)
+
+
+@pytest.mark.parametrize("faults", [[], ["LLVM"]])
+def test_the_report_names_every_fault(monkeypatch, capsys, faults):
+    results = [
+        Finding(name="disk", text="9 GB free"),
+        *(Finding(name=n, state="fault", text="no", advice="yes") for n in faults),
+    ]
+    monkeypatch.setattr(doctor, "findings", lambda: results)
+    assert doctor.doctor.main([], standalone_mode=False) == len(faults)
+    shown = capsys.readouterr().out
+    assert ("1 to mend: LLVM" in shown, "FAULT  LLVM             no\n" in shown) == (bool(faults),) * 2
+    assert doctor.doctor.main(["--json"], standalone_mode=False) == len(faults)
+    content = json.loads(capsys.readouterr().out)
+    assert (content["healthy"], [row["name"] for row in content["findings"]]) == (not faults, ["disk", *faults])
 
 
 @pytest.mark.slow

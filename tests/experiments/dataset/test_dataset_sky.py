@@ -26,7 +26,6 @@ from experiments.dataset.settings import (
     VerifyConfig,
 )
 from experiments.dataset.truth import FLAGS, record_from_text
-from optics.errors import StarbenchError
 from render.bodies.solar_system import solar_system
 from render.detector.maps import sensor_maps
 from render.engine import Engine
@@ -51,31 +50,6 @@ def test_attitudes_keep_away_from_the_sun():
     assert len(kept) > 150
     same = [(plan_frame(free, k).attitude * plan_frame(plan, k).attitude.inv()).magnitude() for k in kept]
     assert max(same) < 1e-12  # the others stay where they were
-
-
-@pytest.mark.parametrize(
-    ("settings", "said"),
-    [
-        ({"background": BackgroundConfig(moon_planets=True)}, "set catalogue.observer = earth"),
-        ({"background": BackgroundConfig(stray_light="pst.csv")}, "set catalogue.observer = earth"),
-        ({"background": BackgroundConfig(zodiacal=True)}, "set pointing.sun_exclusion_deg to at least 16"),
-        (
-            {
-                "background": BackgroundConfig(zodiacal=True),
-                "pointing": ConePointing(ra_deg=27.0, dec_deg=11.0, radius_deg=1.0),
-            },
-            "deg from it",
-        ),
-        (
-            {"pointing": ConePointing(ra_deg=27.0, dec_deg=11.0, radius_deg=1.0, sun_exclusion_deg=30.0)},
-            "the whole cone",
-        ),
-    ],
-)
-def test_refused(settings, said):
-    sky = CatalogueConfig(faintest_mag=9.0, epoch_year=EPOCH)
-    with pytest.raises(StarbenchError, match=said):
-        build_scene(DatasetConfig(**{**CAMERA, "catalogue": sky, **settings}))
 
 
 @pytest.mark.slow

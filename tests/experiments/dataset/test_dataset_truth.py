@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
-from astropy.table import Table
 
 from calib.measure.centroid_error.cramer_rao_bound import flux_snr
 from calib.measure.detection.footprints import footprint_px
@@ -13,7 +12,6 @@ from experiments.dataset.frame import FrameMaker
 from experiments.dataset.job import frame_record
 from experiments.dataset.scene import build_scene, stars_of
 from experiments.dataset.settings import (
-    BackgroundConfig,
     ConePointing,
     DatasetConfig,
     FixedRate,
@@ -21,11 +19,10 @@ from experiments.dataset.settings import (
     ScanPointing,
 )
 from experiments.dataset.truth import FLAGS, record_from_text
-from optics.errors import DomainError, StarbenchError
 from optics.frames import field_angles_deg
 from optics.rays.chief_ray import chief_ray_points
 from render.forward import StarRenderer
-from render.sensor_file.tables import CatalogueConfig, InstrumentConfig, PassbandConfig
+from render.sensor_file.tables import CatalogueConfig, InstrumentConfig
 
 SMALL = {
     "instrument": InstrumentConfig(detector="cmv4000", exposure_s=0.2, width_px=256, height_px=192),
@@ -143,32 +140,6 @@ def test_no_light_at_all(engine):
     assert made.stars == made.saturated == 0
     assert len(made.truth["star_id"]) == 0
     assert made.frame.dn.std() > 1.0
-
-
-@pytest.mark.parametrize(
-    ("settings", "said"),
-    [
-        ({"catalogue": CatalogueConfig(faintest_mag=-2.0)}, "the brightest star"),
-        ({"catalogue": CatalogueConfig(faintest_mag=1.0)}, "no frame contains a star"),
-        ({"rate": FixedRate(rate_deg_per_s=(0.0, 5.0, 0.0))}, "leave the frame"),
-        ({"rate": FixedRate(rate_deg_per_s=(0.0, 0.7, 0.0)), "instrument": SLOW}, "while rows are read"),
-        ({"jitter": SHAKEN}, "jitter of .* moves stars out"),
-        ({"instrument": InstrumentConfig(detector="cmv4000", width_px=4096)}, "set it to at most that"),
-        ({"instrument": InstrumentConfig(lens="star_tracker_26mm", detector="cmv4000")}, "made for 16.5 deg"),
-        ({"passband": PassbandConfig(range_nm=(300.0, 700.0))}, "has data for 400"),
-        ({"catalogue": CatalogueConfig(source="no.fits", preset="gaia")}, "no such file"),
-    ],
-)
-def test_refused_before_anything_is_rendered(settings, said):
-    with pytest.raises(StarbenchError, match=said):
-        build_scene(DatasetConfig(**{**SMALL, **settings}, background=BackgroundConfig(extra_e_per_s=0.0)))
-
-
-def test_a_catalogue_without_magnitudes(tmp_path):
-    path = tmp_path / "stars.ecsv"
-    Table({"source_id": [1, 2], "ra": [10.0, 20.0], "dec": [1.0, 2.0], "phot_g_mean_mag": [np.nan, np.nan]}).write(path)
-    with pytest.raises(DomainError, match="no magnitude for any of its 2 stars"):
-        build_scene(DatasetConfig(**{**SMALL, "catalogue": CatalogueConfig(source=str(path), preset="gaia")}))
 
 
 RATE_DEG_PER_S = (0.01, -0.015, 0.05)

@@ -85,19 +85,6 @@ def test_a_store_of_buckets_that_remembers_what_it_listed():
     assert store.read("truth/two") == b"2"
 
 
-@pytest.mark.parametrize(
-    ("out", "more", "said"),
-    [
-        ("nosuch://bucket/sky", [], "Protocol not known"),
-        ("memory://elsewhere/sky", ["--workers", "2"], "visible to this process only"),
-    ],
-)
-def test_what_cannot_be_written_is_one_line(out, more, said, capsys):
-    assert main([*RUN, *more, "--out", out], own_process=False) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert said in line
-
-
 def test_only_datasets_go_to_urls(capsys):
     from experiments.temporal.settings import main as temporal
 

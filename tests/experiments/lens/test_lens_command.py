@@ -55,32 +55,10 @@ def test_convert_there_and_back(lens: Path, capsys: pytest.CaptureFixture[str]) 
     out = capsys.readouterr().out
     assert "SSK5 -> N-SSK5" in out
     assert "EFL" in out
+    assert main(["lens", "convert", "--strict", lens.name, "strict.toml"]) == 2
+    assert "strict = true refuses any approximation" in capsys.readouterr().err
     assert main(["lens", "convert", "lens.toml", "again.seq"]) == 0
     assert load_lens(lens.parent / "again.seq").surfaces[2].shape.curvature == pytest.approx(-0.004, rel=1e-15)
-    assert main(["lens", "convert", lens.name, "lens.toml"]) == 2
-    assert "--force" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("argv", "part"),
-    [
-        (["show", "none.zmx"], "no such file"),
-        (["show", "my lens.zmx", "--strict"], "strict"),
-        (["show", "my lens.zmx", "--glass", "SSK5"], "OLD=NEW"),
-        (["show", "my lens.zmx", "--glass", "SSK5=N-BK77"], "'N-BK77'"),
-        (["show", "my lens.zmx", "--out", "no/page.html"], "no"),
-        (["convert", "my lens.zmx", "lens.xyz"], ".toml, .zmx or .seq"),
-        (["explode"], "explode"),
-        (["show"], "FILE"),
-    ],
-)
-def test_bad_input_is_told_without_a_traceback(
-    lens: Path, argv: list[str], part: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["lens", *argv]) == 2
-    error = capsys.readouterr().err
-    assert part in error
-    assert all(line.startswith("error: ") for line in error.splitlines())
 
 
 def test_the_page_holds_prescription_figures_and_every_line(lens: Path) -> None:
@@ -93,20 +71,18 @@ def test_the_page_holds_prescription_figures_and_every_line(lens: Path) -> None:
     assert "<b>" not in page.split("<h1>")[1].split("</h1>")[0]
 
 
-@pytest.mark.slow
-def test_ghosts_are_listed_with_the_books_of_the_light(capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["lens", "ghosts", "star_tracker_26mm", "--field", "2", "--rows", "2"]
+def test_ghosts_are_listed_with_the_budget_of_the_light(lens: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Three surfaces, two of a window and the detector make 15 pairs."""
+    arguments = ["lens", "ghosts", lens.name, "--field", "1", "--rows", "2"]
     assert main([*arguments, "--window", "N-BK7:0.5:1.0"]) == 0
     said = capsys.readouterr().out
-    assert "78 pairs of surfaces" in said
+    assert "15 pairs of surfaces" in said
     assert "dust of level 300: 0.02538 % of a surface" in said
     listed = [line.split() for line in said.splitlines() if line.strip()[:1].isdigit()]
     assert len(listed) == 2
     assert float(listed[0][2]) < float(listed[1][2])
     shares = [float(part.split()[-2]) for part in said.splitlines()[-1].split(":")[1].split(",")]
     assert sum(shares) == pytest.approx(100.0, abs=0.05)  # four digits each
-    assert main([*arguments, "--window", "N-BK7"]) == 2
-    assert "GLASS:MM:GAP is needed" in capsys.readouterr().err
 
 
 def test_formats_without_coatings_say_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -130,7 +106,3 @@ def test_thermal_matrix_and_the_spacer_that_holds_the_focus(capsys: pytest.Captu
     assert float(matrix["across, +x less -x"][2]) == pytest.approx(-float(matrix["across, +y less -y"][3]))
     (solved,) = (line.split() for line in said.splitlines() if line.startswith("  L6"))
     assert float(solved[1]) == 33.76
-    assert main(["lens", "thermal", "star_camera_206mm", "--rim", "L1=35"]) == 2
-    assert "FRONT:BACK in mm is needed" in capsys.readouterr().err
-    assert main(["lens", "thermal", "star_camera_206mm", "--spacer", "L9=invar_36"]) == 2
-    assert "L9" in capsys.readouterr().err

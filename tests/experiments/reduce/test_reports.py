@@ -69,8 +69,6 @@ def test_one_command_for_all_methods(folder, capsys, tmp_path, engine):
     assert starbench(["reduce", "--method", "temporal", *words, "--force"]) == 0
     reported(tmp_path)
     assert set(METHODS) == {path.parent.name for path in ROOT.glob("experiments/*/own_frames.py")}
-    assert starbench(["reduce", "--method", "temporl", *words]) == 2
-    assert "'temporal'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["hsfe", "distortion"])
@@ -120,12 +118,3 @@ def test_a_bad_folder_is_one_line(name, text, said, folder, capsys, tmp_path, en
     assert len(lines) == 1
     assert said in lines[0]
     assert not (tmp_path / "out").exists()
-
-
-def test_a_missing_folder_and_a_fit_without_psf_are_one_line(folder, capsys, tmp_path, engine):
-    assert starbench(["temporal", "--own-frames", str(tmp_path / "none"), "--out", str(tmp_path / "out")]) == 2
-    assert "no such folder" in capsys.readouterr().err
-    only = ("--set", "centroid=epsf", "--set", "compare=[]")
-    status, text = run("temporal", folder, TEXTS["temporal"], capsys, *only, out=tmp_path / "out")
-    assert status == 2
-    assert "have no PSF" in text

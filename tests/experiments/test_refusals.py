@@ -1,0 +1,446 @@
+"""What the experiments refuse: kind of error, and the names, values or ranges that its message of one line holds.
+
+A row: name of the case, call (with a folder of the files below), error, words of the message.
+"""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import click
+import numpy as np
+import pytest
+from astropy import units
+from astropy.io import fits
+from astropy.table import Table
+
+from experiments.chromatic.own_frames import filter_frames
+from experiments.chromatic.settings import Config as ChromaticConfig
+from experiments.dataset import workers
+from experiments.dataset.folder import DatasetFolder, check, file_digest
+from experiments.dataset.job import Job
+from experiments.dataset.plan import build_plan
+from experiments.dataset.remote import RemoteDataset, Store, dataset_at, working_copy
+from experiments.dataset.scene import build_scene
+from experiments.dataset.settings import DatasetConfig
+from experiments.dataset.truth_files import read_origin, read_record
+from experiments.distortion.own_frames import reduce as distortion
+from experiments.distortion.settings import Config as DistortionConfig
+from experiments.harness.config import load_config
+from experiments.harness.progress import Progress
+from experiments.hsfe.own_frames import reduce as hsfe
+from experiments.lens.command import lens
+from experiments.reduce.command import reduce as reduce_command
+from experiments.reduce.folder import read_folder
+from experiments.reduce.frames_toml import FolderLayout
+from experiments.temporal.own_frames import own_frames as temporal_test
+from experiments.temporal.own_frames import reduce as temporal
+from experiments.temporal.settings import Config as TemporalConfig
+from optics.errors import BackendError, ConfigError, DomainError
+
+Call = Callable[[Path], Any]
+
+# --- Datasets: settings, attitudes, scene, folder, URL, workers
+
+PLEIADES = {"kind": "cone", "ra_deg": 56.75, "dec_deg": 24.12, "radius_deg": 0.1}
+SMALL = {"detector": "cmv4000", "exposure_s": 0.2, "width_px": 256, "height_px": 192}
+FIELD = {"instrument": SMALL, "nodes": 3, "catalogue": {"faintest_mag": 9.0}, "pointing": PLEIADES}
+NEAR_SUN = {"kind": "cone", "ra_deg": 27.0, "dec_deg": 11.0, "radius_deg": 1.0}
+SPRING = {"faintest_mag": 9.0, "epoch_year": 2025.3}
+TURNING = {"kind": "fixed", "rate_deg_per_s": (0.0, 1.0, 0.0)}
+JOB = Job(config="{}", folder="", backend="llvm")
+FREQUENCIES = "jitter.frequency_hz=[1, 100]"
+
+
+def settings(*texts: str) -> Call:
+    return lambda _: load_config(DatasetConfig, settings=list(texts))
+
+
+def plan(*, diagonal_deg: float = 0.0, **changes: Any) -> Call:
+    return lambda _: build_plan(DatasetConfig(**{"frames": 2, **changes}), diagonal_deg=diagonal_deg)
+
+
+def attitudes(name: str = "list.ecsv", kind: str = "list", **columns: Any) -> Call:
+    """The plan of a list of attitudes, or of a scan, in a file."""
+
+    def call(folder: Path) -> Any:
+        if columns:
+            Table(columns).write(folder / name)
+        return build_plan(DatasetConfig(frames=1, pointing={"kind": kind, "file": str(folder / name)}))
+
+    return call
+
+
+def scene(**changes: Any) -> Call:
+    dark = {"background": {"extra_e_per_s": 0.0}}
+    return lambda _: build_scene(DatasetConfig.model_validate(dark | FIELD | changes))
+
+
+def no_magnitudes(folder: Path) -> Any:
+    stars = {"source_id": [1, 2], "ra": [10.0, 20.0], "dec": [1.0, 2.0], "phot_g_mean_mag": [np.nan, np.nan]}
+    Table(stars).write(folder / "stars.ecsv")
+    return scene(catalogue={"source": str(folder / "stars.ecsv"), "preset": "gaia"})(folder)
+
+
+def dataset(*files: str, frames: int = 3, seed: int = 1, software: str = "3") -> Call:
+    """A dataset in a folder with files, begun with seed 1 and version 3 if ``dataset.json`` is among them."""
+
+    def call(folder: Path) -> Any:
+        folder = folder / "sky"
+        for name in files:
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_text('{"format": 2, "software": {"mitsuba": "3"}, "config": {"seed": 1}}')
+        DatasetFolder(folder, config={"seed": seed}, frames=frames, truth="parquet").open({"mitsuba": software})
+
+    return call
+
+
+def linked(folder: Path) -> Any:
+    (folder / "sky").mkdir()
+    (folder / "sky" / "frames").symlink_to(folder)
+    return dataset()(folder)
+
+
+def foreign_url(_: Path) -> Any:
+    Store("memory://letters").write("letters.txt", b"mine")
+    return RemoteDataset("memory://letters", config={}, frames=1, truth="parquet")
+
+
+def on_cluster(result: Any) -> Call:
+    """The check of a cluster whose worker gives a result or raises an error."""
+
+    def answer(timeout: float | None = None) -> Any:
+        if timeout is None or isinstance(result, TimeoutError):
+            raise result
+
+    client = SimpleNamespace(submit=lambda *work, pure: SimpleNamespace(result=answer))
+    return lambda folder: workers._check_cluster(client, JOB, "tcp://head:1")
+
+
+def no_workers(folder: Path) -> Any:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(workers, "local_cluster", lambda count: (_ for _ in ()).throw(OSError("no pipes")))
+        return workers.make_frames(JOB, [0, 1], workers=2, scheduler="", done=id)
+
+
+def truth_file(text: str, read: Callable[[Path], Any] = read_record) -> Call:
+    def call(folder: Path) -> Any:
+        (folder / "frame_000000.ecsv").write_text(text)
+        return read(folder / "frame_000000.ecsv")
+
+    return call
+
+
+DATASETS = [
+    ("frames", settings("frames=0"), ConfigError, "frames", "1"),
+    ("window", settings("window_px=8"), ConfigError, "window_px", "8 px is even"),
+    ("rates", settings("rate.kind=random", "rate.lowest_deg_per_s=1"), ConfigError, "highest_deg_per_s is below"),
+    ("log rates", settings("rate.kind=random", "rate.distribution=log_uniform"), ConfigError,
+     "lowest_deg_per_s above 0"),
+    ("one frequency", settings("jitter.frequency_hz=[1]"), ConfigError, "frequency_hz = [1.0]", "at least two"),
+    ("no density", settings(FREQUENCIES), ConfigError, "psd_x_arcsec2_per_hz, _y or _z"),
+    ("densities", settings(FREQUENCIES, "jitter.psd_y_arcsec2_per_hz=[1, 2, 3]"), ConfigError, "has 3 values for 2"),
+    ("splits", settings("splits.train_fraction=0.9"), ConfigError, "add up to 1.1"),
+    ("export twice", settings('exports=["coco", "coco"]'), ConfigError, "an export is named twice"),
+    ("list empty", plan(pointing={"kind": "list"}), ConfigError, "pointing.file is empty"),
+    ("list missing", plan(pointing={"kind": "list", "file": "no.csv"}), ConfigError, "no.csv", "no such file"),
+    ("list suffix", attitudes(name="chip.toml"), ConfigError, "chip.toml", ".csv or .ecsv"),
+    ("list unreadable", attitudes(name="empty.ecsv"), ConfigError, "empty.ecsv", "cannot be read"),
+    ("list no rows", attitudes(ra_deg=[], dec_deg=[], roll_deg=[]), ConfigError, "holds no rows"),
+    ("list short",
+     lambda folder: build_plan(DatasetConfig(frames=9, pointing={"kind": "list", "file": f"{folder}/list.csv"})),
+     ConfigError, "holds 1 attitudes, 9 frames"),
+    ("quaternion", attitudes(quat_x=[0.0], quat_y=[0.0], quat_z=[0.1], quat_w=[0.9]), DomainError,
+     "row 0 has length 0.905", "normalised"),
+    ("radians", attitudes(ra=np.linspace(0, 6, 30), dec=np.linspace(-1, 1, 30), roll=np.zeros(30)), DomainError,
+     "radians"),
+    ("declination", attitudes(ra_deg=[1.0], dec_deg=[95.0], roll_deg=[0.0]), DomainError,
+     "declination of row 0 is 95 deg", "-90 to 90"),
+    ("roll", attitudes(ra_deg=[1.0], dec_deg=[5.0], roll_deg=[400.0]), DomainError, "roll of row 0 is 400 deg",
+     "-360 to 360"),
+    ("NaN", attitudes(ra_deg=[1.0], dec_deg=[np.nan], roll_deg=[0.0]), DomainError, "dec_deg of row 0", "not finite"),
+    ("text", attitudes(ra_deg=["a"], dec_deg=[5.0], roll_deg=[0.0]), ConfigError, "ra_deg", "not a number"),
+    ("columns", attitudes(ra_deg=[1.0], dec_deg=[5.0]), ConfigError, "ra_deg, dec_deg", "roll_deg"),
+    ("unit", attitudes(ra_deg=[1.0] * units.m, dec_deg=[5.0], roll_deg=[0.0]), ConfigError, "is in m", "deg"),
+    ("scan times", attitudes(kind="scan", time_s=[0.0, 1.0, 1.0]), DomainError, "time_s of row 2 is 1 s"),
+    ("scan times missing", attitudes(kind="scan", ra_deg=[0.0]), ConfigError, "column time_s is missing"),
+    ("scan short",
+     attitudes(kind="scan", time_s=[0.0, 0.1], ra_deg=[0.0, 1.0], dec_deg=[0.0, 1.0], roll_deg=[0.0, 0.0]),
+     DomainError, "lasts 0.1 s", "at most 0"),
+    ("rate of a scan", plan(pointing={"kind": "scan"}, rate=TURNING), ConfigError, "leave rate out"),
+    ("arcs", plan(splits={"by": "arc"}), DomainError, "splits.by = arc", "constant rate"),
+    ("arcs too narrow",
+     plan(pointing={"kind": "scan", "rate_deg_per_s": (0.0, 0.1, 0.5)}, splits={"by": "arc"}, diagonal_deg=60.0),
+     DomainError, "splits.", "no room"),
+    ("gap", plan(splits={"by": "sky", "gap_deg": 100.0}), DomainError, "splits.gap_deg = 100", "less than 90 deg"),
+    ("cone in gaps", plan(pointing={"kind": "cone"}, splits={"by": "sky"}, diagonal_deg=17.7), DomainError,
+     "less than half"),
+    ("cone at the Sun", plan(pointing=NEAR_SUN | {"sun_exclusion_deg": 30.0}, catalogue=SPRING), DomainError,
+     "whole cone lies within", "sun_exclusion_deg = 30"),
+    ("planets", scene(background={"moon_planets": True}), ConfigError, "background.moon_planets",
+     "catalogue.observer = earth"),
+    ("stray light", scene(background={"stray_light": "pst.csv"}), ConfigError, "background.stray_light",
+     "catalogue.observer = earth"),
+    ("zodiacal sky", scene(pointing={"kind": "sky"}, catalogue=SPRING, background={"zodiacal": True}), DomainError,
+     "sun_exclusion_deg to at least 16"),
+    ("zodiacal cone", scene(pointing=NEAR_SUN, catalogue=SPRING, background={"zodiacal": True}), DomainError,
+     "frame 0", "deg from it"),
+    ("faintest", scene(catalogue={"faintest_mag": -2.0}), DomainError, "faintest_mag = -2", "brightest star"),
+    ("no star", scene(catalogue={"faintest_mag": 1.0}), DomainError, "no frame contains a star", "1 mag"),
+    ("no magnitudes", no_magnitudes, DomainError, "no magnitude for any of its 2 stars"),
+    ("no catalogue", scene(catalogue={"source": "no.fits", "preset": "gaia"}), ConfigError, "no.fits", "no such file"),
+    ("trail", scene(rate=TURNING | {"rate_deg_per_s": (0.0, 5.0, 0.0)}), DomainError, "5 deg/s", "leave the frame"),
+    ("drift", scene(rate=TURNING | {"rate_deg_per_s": (0.0, 0.7, 0.0)}, instrument=SMALL | {"line_time_us": 1e4}),
+     DomainError, "0.7 deg/s", "while rows are read"),
+    ("jitter", scene(jitter={"frequency_hz": (1.0, 100.0), "psd_x_arcsec2_per_hz": (1e9, 1e9)}), DomainError,
+     "jitter of", "px RMS"),
+    ("width", scene(instrument={"detector": "cmv4000", "width_px": 4096}), DomainError, "set it to at most that"),
+    ("field", scene(instrument={"detector": "cmv4000", "lens": "star_tracker_26mm"}), DomainError, "made for 16.5 deg"),
+    ("band", scene(passband={"range_nm": (300.0, 700.0)}), DomainError, "has data for 400"),
+    ("other files", dataset("thesis.tex"), ConfigError, "holds thesis.tex", "dataset.json"),
+    ("other seed", dataset("dataset.json", "frames/frame_000007.fits", seed=2), ConfigError, "seed = 1",
+     "this run has 2"),
+    ("other software", dataset("dataset.json", "frames/frame_000007.fits", software="4"), ConfigError,
+     'software.mitsuba = "3"', 'this run has "4"'),
+    ("fewer frames", dataset("dataset.json", "truth/frame_000004.parquet"), ConfigError, "number 4, frames = 3",
+     "at least 5"),
+    ("no identity", dataset("truth/frame_000001.parquet"), ConfigError, "neither dataset.json nor a truth file"),
+    ("a file", lambda folder: DatasetFolder(folder / "list.csv", config={}, frames=1, truth="ecsv"), ConfigError,
+     "is a file"),
+    ("a link", linked, ConfigError, "frames is a link"),
+    ("check nothing", lambda folder: check(folder / "no", Progress()), ConfigError, "no such folder"),
+    ("check no dataset", lambda folder: check(folder, Progress()), ConfigError, "is not a dataset", "SHA256SUMS"),
+    ("digest", lambda folder: file_digest(folder / "no"), ConfigError, "no", "cannot be read"),
+    ("no truth", truth_file("text"), ConfigError, "is not a truth file"),
+    ("damaged truth", truth_file("starbench_sha256: " + "1" * 64), ConfigError, "digest does not match"),
+    ("no file of truth", lambda folder: read_origin(folder / "no.parquet"), ConfigError, "no.parquet",
+     "cannot be read"),
+    ("protocol", lambda _: dataset_at("nosuch://bucket/sky", DatasetConfig()), ConfigError, "nosuch", "not known"),
+    ("memory", lambda _: dataset_at("memory://else/sky", DatasetConfig(workers=2)), ConfigError, "memory://else/sky",
+     "workers = 1"),
+    ("nothing at a URL", lambda _: working_copy("memory://nothing").__enter__(), ConfigError, "memory://nothing",
+     "does not exist"),
+    ("foreign URL", foreign_url, ConfigError, "letters.txt", "is no dataset"),
+    ("address", lambda _: workers.make_frames(None, [0], workers=0, scheduler="localhost", done=id), ConfigError,
+     "scheduler = 'localhost'", "tcp://host:8786"),
+    ("no workers", on_cluster(TimeoutError()), ConfigError, "tcp://head:1", "has no workers"),
+    ("worker refuses", on_cluster(ConfigError("worker a does not see it")), ConfigError, "tcp://head:1: worker a"),
+    ("worker without starbench", on_cluster(ImportError("no module")), ConfigError, "cannot run starbench (no module)"),
+    ("workers do not start", no_workers, BackendError, "2 workers cannot be started (no pipes)"),
+]  # fmt: skip
+
+# --- Own frames: a folder and its frames.toml
+
+HEAD = "gain_dn_per_e = 0.25\noffset_dn = 60\nread_noise_e = 12\npixel_arcsec = 5.5\n"
+POINT = HEAD + "points = 1\n"
+ONE = "[[series]]\nfiles = ['a_*.fits']\n"
+FILTERS = FolderLayout(needs=("filter_nm",), same_scene="place")
+
+
+def image(
+    path: Path, shape: tuple[int, int] = (64, 96), *, scale: float = 1.0, hole: bool = False, **cards: Any
+) -> None:
+    """A frame with a star."""
+    row, column = np.indices(shape)
+    light = 60.0 + 600.0 * np.exp(-((row - 30) ** 2 + (column - 40) ** 2) / 2.0)
+    dn = np.rint(scale * (light + np.random.default_rng(len(path.name)).normal(0.0, 3.0, shape)))
+    dn = np.where(np.eye(*shape) > 0, np.nan, dn) if hole else dn.astype(np.uint16 if scale == 1.0 else np.int32)
+    fits.PrimaryHDU(dn, fits.Header(list({"EXPTIME": 0.1, **cards}.items()))).writeto(path)
+
+
+def own(text: str, reduce: Callable[..., Any] | None = None, *config: Any, **options: Any) -> Call:
+    """Frames of a folder with the settings, and their reduction by a method."""
+
+    def call(folder: Path) -> Any:
+        for name in ("a_1.fits", "a_22.fits", "b_1.fits", "b_22.fits"):
+            image(folder / name)
+        image(folder / "small.fits", (64, 80))
+        image(folder / "slow.fits", EXPTIME=0.3)
+        image(folder / "nan.fits", hole=True)
+        image(folder / "sum.fits", scale=200.0)
+        for name in ("c_1.fits", "c_2.fits", "d_1.fits", "d_2.fits"):
+            image(folder / name, FILTER="R")
+        (folder / "frames.toml").write_text(text)
+        read = read_folder(folder, **{"window_px": 9, **options})
+        return reduce and reduce(read, ("cog",), *config)
+
+    return call
+
+
+def pattern(make: Callable[[Path], Any]) -> Call:
+    def call(folder: Path) -> Any:
+        make(folder / "a_9.fits")
+        return own(POINT + ONE)(folder)
+
+    return call
+
+
+def chromatic(*series: tuple[str, int, str]) -> Call:
+    rows = "".join(f"[[series]]\nfiles = '{n}_*.fits'\nfilter_nm = {nm}\nplace = '{p}'\n" for n, nm, p in series)
+    return own(POINT + rows, filter_frames, ChromaticConfig(), layout=FILTERS)
+
+
+def temporal_run(**changes: Any) -> Call:
+    def call(folder: Path) -> Any:
+        own(POINT + ONE)(folder)
+        return temporal_test.run(TemporalConfig(own_frames=str(folder), **changes), progress=Progress())
+
+    return call
+
+
+FRAMES = [
+    ("no folder", lambda folder: read_folder(folder / "no", window_px=9), ConfigError, "no such folder"),
+    ("no frames.toml", lambda folder: read_folder(folder, window_px=9), ConfigError, "holds no frames.toml"),
+    ("key missing", own(HEAD.replace("offset_dn = 60\n", "") + ONE), ConfigError, "offset_dn"),
+    ("key unknown", own(HEAD + "point = 1\n" + ONE), ConfigError, "point"),
+    ("key of a series", own(POINT + ONE + "shift = 1"), ConfigError, "shift"),
+    ("no series", own(POINT), ConfigError, "series_table is needed"),
+    ("no points", own(HEAD + ONE), ConfigError, "exactly one of points, points_px and target"),
+    ("moving target", own(HEAD + "points_px = [[40, 30]]\n" + ONE, layout=FolderLayout(same_scene="none", points=1)),
+     ConfigError, "moves it"),
+    ("key of the method", own(POINT + ONE, layout=FolderLayout(needs=("outer_deg",))), ConfigError,
+     "series 1: outer_deg is missing"),
+    ("one frame", own(POINT + "[[series]]\nfiles = ['b_1.fits']"), DomainError, "1 frame", "at least 2"),
+    ("no file", own(POINT + "[[series]]\nfiles = ['a_1.fits', 'e_1.fits']"), ConfigError, "no file 'e_1.fits'"),
+    ("no match", own(POINT + "[[series]]\nfiles = ['e_*.fits']"), ConfigError, "no file 'e_*.fits'"),
+    ("outside", own(POINT + "[[series]]\nfiles = ['../a.fits']"), ConfigError, "'../a.fits'", "not within the folder"),
+    ("link", pattern(lambda path: path.symlink_to("gone.fits")), ConfigError, "a_9.fits", "a link to gone.fits"),
+    ("pipe", pattern(os.mkfifo), ConfigError, "a_9.fits", "a device, pipe"),
+    ("folder", pattern(Path.mkdir), ConfigError, "a_9.fits", "is a folder"),
+    ("count", own(POINT + ONE + "count = 5"), ConfigError, "2 frames in the folder, count = 5"),
+    ("size", own(POINT + "[[series]]\nfiles = ['a_1.fits', 'small.fits']"), DomainError, "small.fits has 80 x 64 px",
+     "one size"),
+    ("size of a dark", own(POINT + "dark = ['small.fits']\n" + ONE), DomainError, "small.fits has 80 x 64 px"),
+    ("shared", own(POINT + "dark = ['a_1.fits']\n" + ONE), ConfigError, "a_1.fits", "dark and to series 1"),
+    ("off the detector", own(HEAD + "points_px = [[40, 30], [400, 30]]\n" + ONE), DomainError, "1 of 2 target points",
+     "column 400.0"),
+    ("undetected", own(HEAD + "points_px = [[40, 30], [70, 30]]\n" + ONE), DomainError, "1 points detected of 2"),
+    ("too many points", own(HEAD + "points = 3\n" + ONE), DomainError, "1 points detected of 3"),
+    ("target missing", own(HEAD + "target = 'a.csv'\n" + ONE), ConfigError, "no file 'a.csv'"),
+    ("target columns", own(HEAD + "target = 'list.csv'\n" + ONE), ConfigError, "x_px and y_px, or tan_x and tan_y"),
+    ("target values", own(HEAD + "target = 'words.csv'\n" + ONE), ConfigError, "words.csv: finite coordinates"),
+    ("target broken", own(HEAD + "target = 'empty.ecsv'\n" + ONE), ConfigError, "empty.ecsv: not a readable table"),
+    ("window", own(POINT + ONE, window_px=71), DomainError, "1 of 1 windows of 71 px leave the detector"),
+    ("positions", own(POINT + ONE + "position = 1\n[[series]]\nfiles = 'b_*.fits'"), ConfigError,
+     "position must be given"),
+    ("names", own(POINT + ONE + ONE + "name = 'series 1'"), ConfigError, "two series have the name 'series 1'"),
+    ("exposures", own(POINT + "[[series]]\nfiles = ['a_1.fits', 'slow.fits']"), DomainError, "exposure time 0.3 s",
+     "0.1 s"),
+    ("filters", own(POINT + "[[series]]\nfiles = ['c_1.fits', 'd_1.fits', 'e.fits']"), ConfigError, "no file 'e.fits'"),
+    ("dark", own(POINT + "dark = 'slow.fits'\n" + ONE), DomainError, "exposed 0.1 s, its dark frames 0.3 s"),
+    ("flat", own(POINT + "flat = 'slow.fits'\ndark = 'b_1.fits'\n" + ONE), DomainError,
+     "flat: exposed 0.3 s, its dark frames"),
+    ("dark flat", own(POINT + "flat = 'b_1.fits'\n" + ONE), DomainError, "brighter flats are needed"),
+    ("saturated flat", own(POINT + "saturation_dn = 61\nflat = 'b_1.fits'\n" + ONE), DomainError, "flat:", "saturated"),
+    ("bad pixels", own(POINT + "bad_pixels = 'small.fits'\n" + ONE), DomainError, "one value for every pixel"),
+    ("bad pixels missing", own(POINT + "bad_pixels = 'none.fits'\n" + ONE), ConfigError, "no file 'none.fits'"),
+    ("bad pixels broken", own(POINT + "bad_pixels = 'list.csv'\n" + ONE), ConfigError,
+     "list.csv: not a readable FITS image"),
+    ("table missing", own(POINT + "series_table = 'none.csv'\n"), ConfigError, "no file 'none.csv'"),
+    ("table of another kind", own(POINT + "series_table = 'outer.csv'\n"), ConfigError, "outer.csv, row 1", "'outer'"),
+    ("table empty", own(POINT + "series_table = 'heads.csv'\n"), ConfigError, "heads.csv: no rows"),
+    ("NaN", own(POINT + "[[series]]\nfiles = 'nan.fits'"), ConfigError, "NaN or infinite"),
+    ("sum", own(POINT + "[[series]]\nfiles = 'sum.fits'"), ConfigError, "above the 16-bit range"),
+    ("saturated", own(POINT + "saturation_dn = 500\n" + ONE, temporal), DomainError, "saturated at 1 of 1 places"),
+    ("steps", own(POINT + ONE, hsfe), DomainError, "at least 2 [[series]]"),
+    ("coordinates", own(POINT + ONE, distortion, DistortionConfig()), DomainError, "coordinates of the target"),
+    ("no PSF", temporal_run(centroid="epsf", compare=()), ConfigError, "own frames have no PSF"),
+    ("filter missing", chromatic(("a", 600, "left"), ("b", 800, "left"), ("c", 600, "right")), ConfigError,
+     "no series of 800 nm at place 'right'"),
+    ("filter twice", chromatic(("a", 600, "left"), ("b", 800, "left"), ("c", 800, "left")), ConfigError,
+     "both have filter 800 nm and place 'left'"),
+    ("reference filter", chromatic(("a", 500, "left"), ("b", 800, "left")), ConfigError,
+     "reference filter, 600 nm, does not occur"),
+    ("only filter", chromatic(("a", 600, "left")), ConfigError, "only filter 600 nm"),
+    ("FILTER", chromatic(("c", 600, "left"), ("d", 800, "left")), ConfigError, "FILTER = 'R'", "600 and 800"),
+    ("method", lambda _: reduce_command.main(["--frames", ".", "--method", "temporl"], standalone_mode=False),
+     click.UsageError, "'temporl'", "'temporal'"),
+]  # fmt: skip
+
+# --- The command lens
+
+
+def lens_command(*arguments: str) -> Call:
+    """``starbench lens`` in the folder of the files."""
+
+    def call(folder: Path) -> Any:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.chdir(folder)
+            return lens.main(list(arguments), standalone_mode=False)
+
+    return call
+
+
+TRACKER = "star_tracker_26mm"
+LENSES = [
+    ("file", lens_command("show", "none.zmx"), ConfigError, "none.zmx", "no such file"),
+    ("glass", lens_command("show", "doublet.zmx", "--glass", "SSK5"), ConfigError, "--glass SSK5", "OLD=NEW"),
+    ("unknown glass", lens_command("show", "doublet.zmx", "--glass", "SSK5=N-BK77"), ConfigError, "'N-BK77'"),
+    ("page", lens_command("show", "doublet.zmx", "--out", "no/page.html"), ConfigError, "no/page.html",
+     "does not exist"),
+    ("format", lens_command("convert", "doublet.zmx", "lens.xyz"), ConfigError, ".toml, .zmx or .seq"),
+    ("overwrite", lens_command("convert", "doublet.zmx", "doublet.zmx"), ConfigError, "doublet.zmx exists", "--force"),
+    ("command", lens_command("explode"), click.UsageError, "explode"),
+    ("no file", lens_command("show"), click.UsageError, "FILE"),
+    ("window", lens_command("ghosts", TRACKER, "--window", "N-BK7"), ConfigError, "--window N-BK7", "GLASS:MM:GAP"),
+    ("pixel", lens_command("ghosts", TRACKER, "--pixel-um", "0"), ConfigError, "--pixel-um 0", "positive"),
+    ("rim", lens_command("thermal", TRACKER, "--rim", "L1=35"), ConfigError, "--rim 35", "FRONT:BACK in mm"),
+    ("spacer", lens_command("thermal", TRACKER, "--spacer", "L99=invar_36"), ConfigError, "'L99'", "known: L1"),
+    ("spacer form", lens_command("thermal", TRACKER, "--spacer", "L1"), ConfigError, "--spacer L1", "NAME=VALUE"),
+    ("second", lens_command("thermal", TRACKER, "--second", "unobtainium"), ConfigError, "--second unobtainium"),
+]  # fmt: skip
+
+DOUBLET = """MODE SEQ
+UNIT MM X W X CM MR CPMM
+FNUM 5 0
+GCAT SCHOTT
+FTYP 0 0 2 2 0 0 0
+YFLN 0 2
+WAVM 1 0.55 1
+SURF 0
+  DISZ INFINITY
+SURF 1
+  STOP
+  CURV 0.016
+  DISZ 6
+  GLAS SSK5 0 0 1.65844 50.88
+SURF 2
+  CURV -0.02
+  DISZ 100
+SURF 3
+"""
+FILES = {
+    "list.csv": "ra_deg,dec_deg,roll_deg\n1,2,3\n",
+    "words.csv": "x_px,y_px\nfar,away\n",
+    "heads.csv": "files,name\n",
+    "outer.csv": "files,outer\na_1.fits,3\n",
+    "empty.ecsv": "",
+    "chip.toml": "",
+    "doublet.zmx": DOUBLET,
+}
+SECTIONS = {"dataset": DATASETS, "own frames": FRAMES, "lens": LENSES}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for name, text in FILES.items():
+        (tmp_path / name).write_text(text)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("call", "kind", "words"),
+    [
+        pytest.param(call, kind, words, id=f"{section}: {name}")
+        for section, rows in SECTIONS.items()
+        for name, call, kind, *words in rows
+    ],
+)
+def test_refusals(call: Call, kind: type[Exception], words: list[str], folder: Path, engine: Any) -> None:
+    with pytest.raises(kind) as error:
+        call(folder)
+    message = error.value.format_message() if isinstance(error.value, click.UsageError) else str(error.value)
+    assert "\n" not in message
+    assert [word for word in words if word not in message] == []
