@@ -36,13 +36,14 @@ from render.catalogue.gaia import load_gaia
 from render.catalogue.index import build_index
 from render.catalogue.motion import earth_observer
 from render.catalogue.record import StarCatalog, direction_from_angles
+from render.catalogue.temperature import star_temperature
 from render.detector.readout import expose
 from render.detector.spec import Detector, load_detector
 from render.engine import Engine
 from render.engine.random import Streams
 from render.forward import StarRenderer
 from render.sky.background import background_map, sky_background
-from render.sky.field import field_of, field_of_view, star_field
+from render.sky.field import field_of, field_of_view
 from render.sky.star_light import star_light
 
 TARGET = Path(__file__).with_name("pictures") / "orion.png"
@@ -89,7 +90,7 @@ def expected_rates(detector: Detector) -> tuple[Camera, np.ndarray]:
     view = field_of_view(camera, margin_px=20.0)
     field = field_of(index, view, attitude, epoch_year=EPOCH_YEAR, observer=earth_observer(EPOCH_YEAR))
     field = replace(field, stars=with_hipparcos_colours(field.stars))
-    stars = star_field(field, star_light(BANDS, nodes=2))
+    stars = star_light(BANDS, nodes=2).stars(field.direction, field.stars.magnitude, star_temperature(field.stars))
     print(f"{len(stars)} stars brighter than G = 10 in {2 * np.degrees(np.arctan(view.half_width[0])):.1f} deg")
     image = StarRenderer(camera, exposure_s=1.0, sobol_log2_rays=11).render(stars)
     return camera, image.electrons + sky_background(background_map(camera, BANDS), attitude, epoch_year=EPOCH_YEAR)

@@ -189,7 +189,16 @@ class SkySimulator:
         if zodiacal or uniform is not None:
             self.diffuse = background_map(sensor.camera, [self.band])
         self._body_names = bodies.name if isinstance(bodies, SolarSystem) else tuple(bodies)
-        self._stray = self._stray_light(stray_light, ghosts=bool(ghosts))
+        self._stray: StrayLight | None = None
+        if stray_light is not None:
+            self._stray = StrayLight(
+                stray_light,
+                band_light(sensor.detector, self.band),
+                observer=self.sky.observer,
+                epoch_year=self.sky.epoch_year,
+                earth="earth" in self._body_names,
+                ghosts=bool(ghosts),
+            )
         self.disks: SolarSystem | None = None
         self._points: tuple[SolarSystem, StarField] | None = None
         if len(bodies):
@@ -220,18 +229,6 @@ class SkySimulator:
         if self._sky is None:
             self._sky = load_sky()
         return self._sky
-
-    def _stray_light(self, table: str | Path | PointSourceTransmittance | None, *, ghosts: bool) -> StrayLight | None:
-        if table is None:
-            return None
-        return StrayLight(
-            table,
-            band_light(self.sensor.detector, self.band),
-            observer=self.sky.observer,
-            epoch_year=self.sky.epoch_year,
-            earth="earth" in self._body_names,
-            ghosts=ghosts,
-        )
 
     def _solar_system(self, bodies: Sequence[str] | SolarSystem) -> SolarSystem:
         if isinstance(bodies, SolarSystem):

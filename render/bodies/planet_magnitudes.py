@@ -144,17 +144,16 @@ def planet_v(name: str, *, to_sun_au: FloatArray, to_observer_au: FloatArray, ep
     to_sun, to_observer = np.asarray(to_sun_au, float), np.asarray(to_observer_au, float)
     r, delta = float(np.linalg.norm(to_sun)), float(np.linalg.norm(to_observer))
     a = math.degrees(math.acos(max(-1.0, min(1.0, float(to_sun @ to_observer) / (r * delta)))))
-    distances = 5.0 * math.log10(r * delta)
-    if name == "saturn":
-        return _saturn(a, to_sun, to_observer) + distances
-    if name == "uranus":
-        return _uranus(a, to_sun, to_observer) + distances
-    if name == "neptune":
-        return _neptune(a, epoch_year) + distances
-    if name == "moon":
-        return _moon(to_sun, to_observer, epoch_year) + distances
-    simple = {"mercury": _mercury, "venus": _venus, "earth": _earth, "mars": _mars, "jupiter": _jupiter}
-    return simple[name](a) + distances
+    by_phase = {"mercury": _mercury, "venus": _venus, "earth": _earth, "mars": _mars, "jupiter": _jupiter}
+    if name in by_phase:
+        v = by_phase[name](a)
+    elif name == "neptune":
+        v = _neptune(a, epoch_year)
+    elif name == "moon":
+        v = _moon(to_sun, to_observer, epoch_year)
+    else:
+        v = {"saturn": _saturn, "uranus": _uranus}[name](a, to_sun, to_observer)
+    return v + 5.0 * math.log10(r * delta)
 
 
 @cache

@@ -261,32 +261,30 @@ def _galactic(name: str, flux: float, potential_mv: float) -> CosmicRayEnvironme
     )
 
 
-def _flare() -> CosmicRayEnvironment:
-    energy = np.arange(31.0, 250.0, 4.0)
+def _protons(name: str, source: str, flux: float, energy_mev: FloatArray, share: FloatArray) -> CosmicRayEnvironment:
     return CosmicRayEnvironment(
-        name="solar_flare",
-        source=f"{_ROBBERTO}; energies: King 1974, J. Spacecraft 11, 401, exp(-E / 26.5 MeV) above 30 MeV",
-        flux_per_cm2_s=3046.83,
+        name=name,
+        source=source,
+        flux_per_cm2_s=flux,
         nucleus_charge=np.ones(1),
         nucleus_share=np.ones(1),
-        energy_mev=energy,
-        energy_share=np.exp(-energy / 26.5),
+        energy_mev=energy_mev,
+        energy_share=share,
     )
+
+
+def _flare() -> CosmicRayEnvironment:
+    energy = np.arange(31.0, 250.0, 4.0)
+    source = f"{_ROBBERTO}; energies: King 1974, J. Spacecraft 11, 401, exp(-E / 26.5 MeV) above 30 MeV"
+    return _protons("solar_flare", source, 3046.83, energy, np.exp(-energy / 26.5))
 
 
 def _leo() -> CosmicRayEnvironment:
-    return CosmicRayEnvironment(
-        name="leo_quiet",
-        source=(
-            "HST Data Handbook, WF/PC-1, sec. 46.5: 1.7 events/s per CCD of 800 x 800 px of 15 um (1.44 cm2), twice "
-            "that as flux; energy: Miles et al. 2021, ApJ 918, 86, 534 MeV"
-        ),
-        flux_per_cm2_s=2.0 * 1.7 / 1.44,
-        nucleus_charge=np.ones(1),
-        nucleus_share=np.ones(1),
-        energy_mev=np.array([534.0]),
-        energy_share=np.ones(1),
+    source = (
+        "HST Data Handbook, WF/PC-1, sec. 46.5: 1.7 events/s per CCD of 800 x 800 px of 15 um (1.44 cm2), twice that "
+        "as flux; energy: Miles et al. 2021, ApJ 918, 86, 534 MeV"
     )
+    return _protons("leo_quiet", source, 2.0 * 1.7 / 1.44, np.array([534.0]), np.ones(1))
 
 
 _ENVIRONMENTS: dict[str, Callable[[], CosmicRayEnvironment]] = {

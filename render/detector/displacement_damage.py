@@ -56,15 +56,13 @@ def aged(
     depleted_volume_um3: float,
     temperature_c: float | None = None,
     annealed_s: float = _WEEK_S,
-    known_above_e_per_s: float | None = None,
 ) -> Detector:
     """The new detector after a displacement damage dose D in a depleted volume V per pixel.
 
     Which pixels are hit follows from its ``sensor_seed``; with more dose they stay hit, and others join them. The dark
     current is right at ``temperature_c`` (the detector's reference by default); at others it follows the detector's
-    doubling, which is not that of these centres (0.63 eV: 8.5 K at 300 K). Pixels whose centres give more than
-    ``known_above_e_per_s`` at the reference are in the map of defects: by default none, as the map was made on the
-    ground.
+    doubling, which is not that of these centres (0.63 eV: 8.5 K at 300 K). Pixels whose centres give more than the
+    detector's ``damage_known_e_per_s`` are in the map of defects.
     """
     for name, value, unit in (
         ("displacement_dose_tev_per_g", displacement_dose_tev_per_g, "TeV/g"),
@@ -84,5 +82,4 @@ def aged(
         name=f"{detector.name}, {displacement_dose_tev_per_g:g} TeV/g",
         damage_centres_per_px=centres,
         damage_dark_e_per_s=each / detector.dark_factor(temperature_c),
-        damage_known_e_per_s=detector.damage_known_e_per_s if known_above_e_per_s is None else known_above_e_per_s,
     )

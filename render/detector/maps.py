@@ -6,6 +6,7 @@ only its own pixels, with the values of the full map.
 
 from __future__ import annotations
 
+from collections import namedtuple
 from dataclasses import dataclass, fields
 from functools import lru_cache
 from types import SimpleNamespace
@@ -52,43 +53,20 @@ class PixelMaps(NamedTuple):
     pixel: Any  # index in the whole detector, the counter of all streams
 
 
-@dataclass(frozen=True, slots=True)
-class _Recipe:
-    """Inputs of the maps; hashable, so that maps are computed once."""
-
-    sensor_seed: int
-    width_px: int
-    height_px: int
-    chip_width_px: int
-    gap_px: int
-    prnu: float
-    dark_current_e_per_s: float
-    dark_spread_e_per_s: float
-    hot_fraction: float
-    hot_dark_e_per_s: float
-    dead_fraction: float
-    read_noise_e: float
-    read_noise_spread: float
-    gain_dn_per_e: float
-    offset_dn: float
-    dsnu_e: float
-    column_pattern_e: float
-    damage_centres_per_px: float
-    damage_dark_e_per_s: float
-    damage_known_e_per_s: float
+_Recipe = namedtuple(
+    "_Recipe",
+    "sensor_seed width_px height_px chip_width_px gap_px prnu dark_current_e_per_s dark_spread_e_per_s hot_fraction "
+    "hot_dark_e_per_s dead_fraction read_noise_e read_noise_spread gain_dn_per_e offset_dn dsnu_e column_pattern_e "
+    "damage_centres_per_px damage_dark_e_per_s damage_known_e_per_s",
+)
+"""Inputs of the maps; hashable, so that maps are computed once."""
 
 
 def sensor_maps(detector: Detector) -> SensorMaps:
     """Patterns of the whole detector; ``sensor_seed`` selects the individual chip."""
     maps = full_maps(detector, Engine.active().types)
-    arrays = [np.array(value).reshape(detector.shape) for value in maps[:5]]
-    return SensorMaps(
-        response=arrays[0],
-        dark_current_e_per_s=arrays[1],
-        read_noise_e=arrays[2],
-        offset_dn=arrays[3],
-        defect=arrays[4],
-    )
+    arrays = (np.array(value).reshape(detector.shape) for value in maps[:5])
+    return SensorMaps(**dict(zip((field.name for field in fields(SensorMaps)), arrays, strict=True)))
 
 
 def dark_electrons(
@@ -115,7 +93,7 @@ def window_maps(detector: Detector, types: Any, column: NDArray[np.int64], row: 
 
 
 def _recipe(detector: Detector) -> _Recipe:
-    return _Recipe(*(getattr(detector, field.name) for field in fields(_Recipe)))
+    return _Recipe(*(getattr(detector, name) for name in _Recipe._fields))
 
 
 @lru_cache(maxsize=2)
@@ -137,7 +115,7 @@ def _maps(recipe: _Recipe, types: Any, column: Any, row: Any) -> PixelMaps:
         return split_key(types, streams.key(name))
 
     # One kernel for all detectors: numbers come from memory, not from the code.
-    values = {field.name: getattr(recipe, field.name) for field in fields(recipe) if field.name != "sensor_seed"}
+    values = {name: value for name, value in recipe._asdict().items() if name != "sensor_seed"}
     p = SimpleNamespace(**{k: dr.opaque(types.UInt32 if k in _WHOLE else types.Float32, v) for k, v in values.items()})
     pixel = row * p.width_px + column
     gap = column % (p.chip_width_px + p.gap_px) >= p.chip_width_px

@@ -24,18 +24,8 @@ BLOCK = 2880
 """Bytes of a FITS block (FITS standard 4.0, sec. 3.1)."""
 
 _MANY = ("COMMENT", "HISTORY", "")
-_STRUCTURE = (
-    "SIMPLE",
-    "XTENSION",
-    "BITPIX",
-    "EXTEND",
-    "END",
-    "BZERO",
-    "BSCALE",
-    "PCOUNT",
-    "GCOUNT",
-    "CHECKSUM",
-    "DATASUM",
+_STRUCTURE = frozenset(
+    "SIMPLE XTENSION BITPIX EXTEND END BZERO BSCALE PCOUNT GCOUNT CHECKSUM DATASUM".split()  # noqa: SIM905
 )
 
 

@@ -107,11 +107,6 @@ class GyroRecord:
         time = freeze(self, "time_s", shape=("m",))
         freeze(self, "rate_rad_per_s", shape=(max(len(time) - 1, 0), 3))
 
-    @property
-    def increment_rad(self) -> FloatArray:
-        """Increments of the angle (n, 3) over each interval [rad]."""
-        return np.asarray(self.rate_rad_per_s * np.diff(self.time_s)[:, None])
-
 
 def _interval_ends(trajectory: Trajectory, gyro: Gyro, start_s: float | None, end_s: float | None) -> FloatArray:
     """Ends (n + 1,) of all whole steps from the start on [s]."""

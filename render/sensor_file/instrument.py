@@ -114,20 +114,15 @@ def configured_detector(config: InstrumentConfig) -> Detector:
     return detector if config.gain_dn_per_e is None else replace(detector, gain_dn_per_e=config.gain_dn_per_e)
 
 
-def stated_defocus_mm(config: InstrumentConfig) -> float:
-    """The defocus of a configuration; the best one for the usual pass band, if not stated."""
-    return best_defocus_mm(config, PassbandConfig()) if isinstance(config.defocus_mm, str) else config.defocus_mm
-
-
 def build_instrument(
     config: InstrumentConfig, lens: LensSystem | None = None, detector: Detector | None = None
 ) -> Instrument:
     """Instrument of a configuration, cut to the window that is read out."""
-    nominal = configured_lens(config)
+    nominal, defocus_mm = configured_lens(config), config.defocus_mm
     sensor = build_star_sensor(
         nominal if lens is None else lens,
         configured_detector(config) if detector is None else detector,
-        defocus_mm=stated_defocus_mm(config),
+        defocus_mm=best_defocus_mm(config, PassbandConfig()) if isinstance(defocus_mm, str) else defocus_mm,
         coating_nm=config.coating_nm,
         absorption=config.absorption,
         diffraction=config.diffraction,

@@ -104,8 +104,8 @@ class BackgroundMap:
         sizes: dict[str, int] = {"b": len(self.band)}
         freeze_all(self, wavelength_nm=("b", "k"), weight_nm=("b", "k"), sunlight_factor=("b",), sizes=sizes)
         freeze_all(self, direction=("gy", "gx", 3), sizes=sizes)
-        maps = {"etendue_mm2_sr": ("h", "w", "b"), "spline_x": ("gx", "w"), "spline_y": ("h", "gy")}
-        freeze_all(self, **maps, dtype=np.float32, sizes=sizes)
+        freeze_all(self, etendue_mm2_sr=("h", "w", "b"), dtype=np.float32, sizes=sizes)
+        freeze_all(self, spline_x=("gx", "w"), spline_y=("h", "gy"), dtype=np.float32, sizes=sizes)
 
 
 def background_map(camera: Camera, bands: Sequence[Band], *, nodes: int = 5) -> BackgroundMap:

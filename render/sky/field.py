@@ -1,15 +1,13 @@
-"""Stars on the detector and their light at the wavelength nodes.
+"""Stars on the detector.
 
-`field_of_view` determines the field of a camera once, `field_of` selects the stars of an attitude with their
-directions, `star_field` adds their light (`render.sky.star_light`). The result is the `StarField` that `render.forward`
-renders, with directions in icrs; the camera's world is the sky.
+`field_of_view` determines the field of a camera once, `field_of` selects the stars of an attitude with their apparent
+directions along icrs; `render.sky.sky.Sky.star_field` adds their light.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,9 +23,6 @@ from render.camera import Camera
 from render.catalogue.index import SkyIndex
 from render.catalogue.motion import Observer, directions_at
 from render.catalogue.record import StarCatalog
-from render.catalogue.temperature import TYPICAL_TEMPERATURE_K, star_temperature
-from render.records import StarField
-from render.sky.star_light import StarLight
 
 _DEGREE = 9
 _GRID = 14
@@ -237,30 +232,3 @@ def field_of(
 def _turned(direction: FloatArray, matrix: FloatArray) -> FloatArray:
     """``matrix @ v`` of directions (n, 3)."""
     return np.asarray(np.einsum("ij,kj->ik", direction, matrix))
-
-
-def star_field(
-    field: SkyField,
-    light: StarLight,
-    *,
-    temperature: Literal["colour", "effective"] = "colour",
-    typical_temperature_k: float | None = TYPICAL_TEMPERATURE_K,
-) -> StarField:
-    """The stars of a field with their light, ready to be rendered by a camera whose world is icrs.
-
-    ``light`` is prepared for the magnitude system of the catalogue (`ConfigError`). A black body stands for a star, of
-    the temperature that has its colour, or of its effective temperature; a star without the one gets the other, one
-    that has neither the typical one; None refuses it (`DomainError`). Rotate the camera (`rotation_cam_from_world =
-    field.rotation_cam_from_icrs`), not the stars.
-    """
-    if light.magnitude_system != field.stars.magnitude_system:
-        raise ConfigError(
-            f"bands were prepared for {light.magnitude_system} magnitudes, the catalogue has "
-            f"{field.stars.magnitude_system}; star_light(..., magnitude_system={field.stars.magnitude_system!r})"
-        )
-    typical_k = math.nan if typical_temperature_k is None else typical_temperature_k
-    kelvin = star_temperature(field.stars, temperature, typical_k=typical_k)
-    if np.isnan(kelvin).any():
-        at = int(np.argmax(np.isnan(kelvin)))
-        raise DomainError(f"star {field.stars.id[at]} has no colour, so no temperature; give typical_temperature_k")
-    return light.stars(field.direction, field.stars.magnitude, kelvin)

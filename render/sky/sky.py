@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from optics.arrays import FloatArray
-from optics.errors import DomainError
+from optics.errors import ConfigError, DomainError
 from optics.records import freeze_all
 from render.catalogue.index import SkyIndex, build_index
 from render.catalogue.motion import Observer, directions_at, earth_observer
@@ -100,7 +100,12 @@ class Sky:
         )
 
     def star_field(self, field: SkyField, light: StarLight) -> StarField:
-        """The stars of a field with their light, ready to be rendered."""
+        """The stars of a field with their light, prepared for the magnitudes of the catalogue (`ConfigError`)."""
+        if light.magnitude_system != self.catalog.magnitude_system:
+            raise ConfigError(
+                f"bands were prepared for {light.magnitude_system} magnitudes, the catalogue has "
+                f"{self.catalog.magnitude_system}; star_light(..., magnitude_system={self.catalog.magnitude_system!r})"
+            )
         return light.stars(field.direction, field.stars.magnitude, self.temperature_k[field.row])
 
 

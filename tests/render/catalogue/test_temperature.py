@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from fields import star_catalog
 
 from optics.light.magnitudes import synthetic_magnitude
 from optics.light.spectrum import Blackbody
-from render.catalogue.temperature import colour_temperature, effective_temperature
+from render.catalogue.temperature import colour_temperature, effective_temperature, star_temperature
 
 # A. Mucciarelli, M. Bellazzini, D. Massari, A&A 653, A90 (2021), at solar metallicity: 5040/T = b0 + b1 C + b2 C^2, and
 # where it holds. Dispersions 61 and 83 K; giants of a colour are a little cooler than dwarfs, whose sequence ours is.
@@ -64,3 +65,16 @@ def test_blackbody_of_the_colour_has_the_stars_other_colour_too(colour):
 def test_ballesteros_for_the_sun():
     # F. J. Ballesteros, EPL 97, 34008 (2012): the formula gives 5772 to 5800 K for the Sun
     assert float(colour_temperature(None, 0.65)) == pytest.approx(5778, abs=30)
+
+
+def test_a_star_without_the_one_temperature_gets_the_other_or_the_typical_one():
+    stars = star_catalog(
+        4,
+        bp_rp_mag=[0.5, np.nan, np.nan, 1.2],
+        b_v_mag=[np.nan, 0.6, np.nan, np.nan],
+        effective_temperature_k=[4000, np.nan, np.nan, 5000],
+    )
+    by_colour = [float(colour_temperature(0.5)), float(colour_temperature(None, 0.6)), 4900.0]
+    np.testing.assert_allclose(star_temperature(stars), [*by_colour, float(colour_temperature(1.2))])
+    effective = star_temperature(stars, "effective", typical_k=6000.0)
+    np.testing.assert_allclose(effective, [4000.0, by_colour[1], 6000.0, 5000.0])

@@ -53,7 +53,10 @@ def test_temperature() -> None:
 def test_unknown_defects_and_known_ones() -> None:
     dose: dict[str, float] = {"displacement_dose_tev_per_g": 300.0, "depleted_volume_um3": 50.0}
     before = sensor_maps(NEW)
-    unknown, known = sensor_maps(aged(NEW, **dose)), sensor_maps(aged(NEW, known_above_e_per_s=5000.0, **dose))
+    unknown, known = (
+        sensor_maps(aged(NEW, **dose)),
+        sensor_maps(aged(dataclasses.replace(NEW, damage_known_e_per_s=5000.0), **dose)),
+    )
     assert np.array_equal(unknown.defect, before.defect)
     added = known.dark_current_e_per_s.astype(float) - before.dark_current_e_per_s
     surely = np.abs(added - 5000.0) > 1.0

@@ -13,8 +13,8 @@ from optics.rays.chief_ray import chief_ray_points
 from render.catalogue.index import build_index
 from render.catalogue.motion import Observer, directions_at
 from render.catalogue.record import MAS_RAD, direction_from_angles
-from render.catalogue.temperature import colour_temperature
-from render.sky.field import field_of, field_of_view, star_field
+from render.catalogue.temperature import star_temperature
+from render.sky.field import field_of, field_of_view
 from render.sky.star_light import star_light
 
 LENSES = ["star_camera_206mm", "star_tracker_26mm", "double_gauss_50mm"]
@@ -103,28 +103,9 @@ def test_no_star_there(bench):
     view = field_of_view(bench.camera_of("star_camera_206mm"))
     field = field_of(lonely, view, Rotation.from_euler("x", 90, degrees=True))
     assert len(field) == 0
-    stars = star_field(field, star_light([TopHat(centre_nm=600, width_nm=100)]))
-    assert stars.photon_rate.shape == (0, 1, 5)
-
-
-def test_light_follows_colour_or_effective_temperature(bench):
-    sky = sky_of(4, bp_rp_mag=[0.5, np.nan, np.nan, 1.2], b_v_mag=[np.nan, 0.6, np.nan, np.nan])
-    sky = replace(
-        sky, direction=np.tile([[0.0, 0.0, 1.0]], (4, 1)), effective_temperature_k=[4000, np.nan, np.nan, 5000]
-    )
     light = star_light([TopHat(centre_nm=600, width_nm=100)])
-    view = field_of_view(bench.camera_of("star_tracker_26mm"))
-    field = field_of(build_index(sky), view, Rotation.identity())
-    expected = [
-        float(colour_temperature(0.5)),
-        float(colour_temperature(None, 0.6)),
-        4900.0,
-        float(colour_temperature(1.2)),
-    ]
-    rate = star_field(field, light).photon_rate
-    np.testing.assert_allclose(rate, light.photon_rate(sky.magnitude, expected), rtol=1e-12)
-    rate = star_field(field, light, temperature="effective", typical_temperature_k=6000.0).photon_rate
-    np.testing.assert_allclose(rate, light.photon_rate(sky.magnitude, [4000, expected[1], 6000, 5000]), rtol=1e-12)
+    stars = light.stars(field.direction, field.stars.magnitude, star_temperature(field.stars))
+    assert stars.photon_rate.shape == (0, 1, 5)
 
 
 @pytest.mark.slow
@@ -137,7 +118,8 @@ def test_rendered_where_it_was_looked_up(bench, engine):
     place = direction_from_angles(ra + np.radians([0.0, 3.0, 0.0]), dec + np.radians([0.0, 0.0, 2.0]))
     sky = build_index(sky_of(3, direction=place, magnitude=[2.0, 3.0, 4.0], bp_rp_mag=[-0.2, 0.8, 1.5]))
     field = field_of(sky, field_of_view(camera), north)
-    stars = star_field(field, star_light([TopHat(centre_nm=600, width_nm=200, edge_nm=10)]))
+    light = star_light([TopHat(centre_nm=600, width_nm=200, edge_nm=10)])
+    stars = light.stars(field.direction, field.stars.magnitude, star_temperature(field.stars))
     turned = replace(camera, rotation_cam_from_world=field.rotation_cam_from_icrs)
     truth = StarRenderer(turned, exposure_s=0.1).render(stars).truth
     chief = np.stack([truth.chief_x_px[:, 0], truth.chief_y_px[:, 0]], axis=1)
