@@ -56,7 +56,7 @@ def whole_windows(pixel_px: FloatArray, size_px: tuple[int, int], window_px: int
 
 
 def attitude_forecast(
-    seen: Sightings,
+    sightings: Sightings,
     stars: StarErrors,
     limit: DetectionLimit,
     *,
@@ -69,7 +69,7 @@ def attitude_forecast(
 
     Parameters
     ----------
-    seen : Sightings
+    sightings : Sightings
         Stars in the field of each attitude.
     stars : StarErrors
         Errors against electrons.
@@ -84,27 +84,31 @@ def attitude_forecast(
     bad_fraction : float
         Fraction of the pixels that are defective; a window with one of them is not used.
     """
-    r, electrons = seen.radius_px, seen.electrons
-    shown = stars.effective(electrons, seen.temperature_k, r)
-    chance = stars.detected_at(shown, r)
+    r, electrons = sightings.radius_px, sightings.electrons
+    effective_e = stars.effective(electrons, sightings.temperature_k, r)
+    chance = stars.detected_at(effective_e, r)
     saturated = np.interp(r, stars.radius_px, stars.centroid.peak) * electrons > limit.frame.saturation_e
-    fit = np.where(saturated | ~whole_windows(seen.pixel_px, size_px, window_px), 0.0, chance)
+    fit = np.where(saturated | ~whole_windows(sightings.pixel_px, size_px, window_px), 0.0, chance)
     fit = fit * (1.0 - bad_fraction) ** (window_px**2)
-    fit = fit * (1.0 - stars.detected_at(seen.neighbour_e, r))  # a neighbour within the window spoils both
+    fit = fit * (1.0 - stars.detected_at(sightings.neighbour_e, r))  # a neighbour within the window spoils both
     # two equal Gaussians, filtered with their own width, have one maximum up to two standard deviations of the sum
-    chance = np.where(seen.brighter_px < 2.0 * np.sqrt(2.0) * limit.sigma_px, 0.0, chance)
-    noise = stars.sigma_at(stars.centroid.noise_px, shown, r)
+    chance = np.where(sightings.brighter_px < 2.0 * np.sqrt(2.0) * limit.sigma_px, 0.0, chance)
+    noise = stars.sigma_at(stars.centroid.noise_px, effective_e, r)
     static = stars.sigma_at(np.hypot(stars.centroid.pattern_px, stars.centroid.phase_px), electrons, r)
-    spot = stars.sigma_at(stars.colour_px, electrons, r) * colour_distance(seen.temperature_k, stars.reference_k)
-    variance = noise**2 + static**2 + 0.5 * seen.colour_shift_px**2 + spot**2
+    spot = stars.sigma_at(stars.colour_px, electrons, r) * colour_distance(sightings.temperature_k, stars.reference_k)
+    variance = noise**2 + static**2 + 0.5 * sightings.colour_shift_px**2 + spot**2
     spread = []
     for square in (noise**2, variance):
         covariance = attitude_covariance(
-            seen.direction, square * (pixel_arcsec / RAD_ARCSEC) ** 2, seen.frame, seen.frames, share=fit
+            sightings.direction,
+            square * (pixel_arcsec / RAD_ARCSEC) ** 2,
+            sightings.frame,
+            sightings.frames,
+            probability=fit,
         )
         spread.append(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)) * RAD_ARCSEC)
     sums = [
-        np.bincount(seen.frame, values, seen.frames).astype(np.float64)
+        np.bincount(sightings.frame, values, sightings.frames).astype(np.float64)
         for values in (chance, chance * (1.0 - chance), fit)
     ]
     return AttitudeForecast(
@@ -139,9 +143,9 @@ def draw_star_list(
     detector of (columns, rows) and are half as bright as the faintest star.
     """
     detected = rng.random(len(place_px)) < chance
-    place, light = place_px[detected], electrons[detected]
-    place = place + sigma_px[detected, None] * rng.standard_normal(place.shape)
+    star_px, light = place_px[detected], electrons[detected]
+    star_px = star_px + sigma_px[detected, None] * rng.standard_normal(star_px.shape)
     false = int(rng.poisson(min(false_alarms, 1e4)))
     faint = np.full(false, 0.5 * light.min(initial=1.0))
     anywhere = rng.uniform(-0.5, np.array(size_px) - 0.5, (false, 2))
-    return np.concatenate([place, anywhere]), np.concatenate([light, faint])
+    return np.concatenate([star_px, anywhere]), np.concatenate([light, faint])

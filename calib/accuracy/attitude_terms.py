@@ -164,8 +164,8 @@ class AttitudePrediction:
     def _pixel_error(self, solved: Sequence[NDArray[np.bool_]], pick: list[int]) -> float:
         """Standard deviation of the pixel spatial mean square: of products of two normal errors, correlated."""
         power, freedom = 0.0, 0
-        for error, frames, known in zip(self.errors, self.correlation, solved, strict=True):
-            both, count = np.ix_(known, known), int(known.sum())
+        for error, frames, rows in zip(self.errors, self.correlation, solved, strict=True):
+            both, count = np.ix_(rows, rows), int(rows.sum())
             centred = np.eye(count) - 1.0 / count
             for axis in pick:
                 phase = (error.spot_arcsec2 + error.focus_arcsec2)[axis] * frames.phases[axis][both]
@@ -196,7 +196,7 @@ class AttitudePrediction:
             for name in ("thermal", "aberration", "fov")
         }
         solved = [np.asarray(np.isfinite(error).all(axis=(0, 2))) for error in error_arcsec]
-        errors = [error[:, known][:, :, pick] for error, known in zip(error_arcsec, solved, strict=True)]
+        errors = [error[:, rows][:, :, pick] for error, rows in zip(error_arcsec, solved, strict=True)]
         thermal, thermal_error = _segment_means([change[:, pick] for change in thermal_arcsec])
         aberration, aberration_error = _segment_means([change[:, pick] for change in aberration_arcsec])
         noise, pixel, total, mean_error, count = _within_segments(errors)
@@ -261,9 +261,9 @@ def _within_segments(errors: Sequence[FloatArray]) -> tuple[float, float, float,
     return float(np.average(noises, weights=counts)), pixel, total, mean_error, errors[0].shape[2] * int(counts.sum())
 
 
-def _square_error(known: FloatArray, variance: FloatArray | float) -> float:
+def _square_error(signed: FloatArray, variance: FloatArray | float) -> float:
     """Standard deviation of the mean square of known errors (p, axes) with normal ones of a variance in addition."""
-    return math.sqrt(float((4.0 * known**2 * variance + 2.0 * np.square(variance)).sum())) / known.size
+    return math.sqrt(float((4.0 * signed**2 * variance + 2.0 * np.square(variance)).sum())) / signed.size
 
 
 def _segment_means(values: Sequence[FloatArray]) -> tuple[FloatArray, float]:

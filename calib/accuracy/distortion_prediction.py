@@ -97,10 +97,10 @@ def expected_numbers(errors: GridErrors, order: int, reference: Reference) -> Ex
         frozen, survey, uncertain = (v[:, axis::2] for v in (frozen, survey, uncertain))
         for row, q in enumerate((np.eye(points) - constant, np.eye(points) - hat, hat - constant)):
             square = u @ q @ u + np.trace(q @ (frozen + survey - uncertain))  # u'Qu contains the noise of the mean
-            every = _variance(q, u, frozen + survey + uncertain)
+            of_survey = _variance(q, u, frozen + survey + uncertain)
             fixed = _variance(q, u, frozen + uncertain)
             root = np.sqrt(max(square, 0.0) / (points - 1))
-            spread = np.array([every, fixed]) / (4.0 * max(square, 1e-300) * (points - 1))
+            spread = np.array([of_survey, fixed]) / (4.0 * max(square, 1e-300) * (points - 1))
             out[:, row, axis] = root, *np.sqrt(spread)
     return ExpectedNumbers(rms_px=out[0], scatter_px=out[1], frozen_px=out[2])
 

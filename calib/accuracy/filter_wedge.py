@@ -64,8 +64,8 @@ def separate_wedge(
     """
     places, points, _ = shift_px.shape
     design_matrix = np.zeros((places, 2, 6))
-    for place, (turn, reference) in enumerate(zip(filter_deg, reference_deg, strict=True)):
-        design_matrix[place] = np.hstack([np.eye(2), _rotation(turn), _rotation(turn) - _rotation(reference)])
+    for row, (turn, reference) in enumerate(zip(filter_deg, reference_deg, strict=True)):
+        design_matrix[row] = np.hstack([np.eye(2), _rotation(turn), _rotation(turn) - _rotation(reference)])
     # the scale from the points of each place alone: a motion between the series of a place moves all of them
     middle = from_centre_px.mean(1)
     lever = (from_centre_px - middle[:, None]) / sigma_px
@@ -86,9 +86,9 @@ def separate_wedge(
     covariance = pseudo_inverse @ noise @ pseudo_inverse.T
 
     def part(functional: FloatArray) -> tuple[FloatArray, FloatArray]:
-        known = np.linalg.norm(undetermined @ functional.T, axis=0) < np.sqrt(DETERMINED)
+        determined = np.linalg.norm(undetermined @ functional.T, axis=0) < np.sqrt(DETERMINED)
         sigma = np.sqrt(np.einsum("ik,kl,il->i", functional, covariance, functional))
-        return np.where(known, functional @ estimate, np.nan), np.where(known, sigma, np.nan)
+        return np.where(determined, functional @ estimate, np.nan), np.where(determined, sigma, np.nan)
 
     constant, lens, wedge = (part(rows) for rows in (design_matrix.mean(0), np.eye(6)[:2], np.eye(6)[2:4]))
     return ShiftParts(
@@ -136,11 +136,11 @@ def exchanged_filters(light: FloatArray, radius_px: FloatArray) -> list[tuple[in
         return float((interaction**2).sum())
 
     before, misfits = misfit(features), {}
-    for place in range(places):
+    for at in range(places):
         for first, second in combinations(range(filters), 2):
             swapped = features.copy()
-            swapped[:, place, [first, second]] = features[:, place, [second, first]]
-            misfits[place, first, second] = misfit(swapped)
+            swapped[:, at, [first, second]] = features[:, at, [second, first]]
+            misfits[at, first, second] = misfit(swapped)
     least = min(misfits.values())
     if before - least < LEAST_GAIN or least > EXCHANGE_RATIO * before:
         return []

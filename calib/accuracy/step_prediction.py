@@ -119,10 +119,10 @@ class StepModel:
         prnu, offsets, dark = self._patterns(centroider, response.gain_px_per_e)
         lever, free = self._lever(), 1.0 - 1.0 / sigma.shape[1]
         # a curve has some noise already: that of the draws whose mean it is
-        left = [np.sqrt(np.maximum(sigma**2 - error**2, 0.0)) for error in errors]
-        known = [curve + mask for curve, mask in zip(curves, masked, strict=True)]
-        steps, single = self._drawn_rms(known, left, (prnu, *offsets, *dark), lever, rng)
-        alone = [self._curve(session, windows, sigma, noise_draws)[0] for session in sessions]
+        noise_px = [np.sqrt(np.maximum(sigma**2 - error**2, 0.0)) for error in errors]
+        deterministic_px = [curve + mask for curve, mask in zip(curves, masked, strict=True)]
+        steps, single = self._drawn_rms(deterministic_px, noise_px, (prnu, *offsets, *dark), lever, rng)
+        session_curves = [self._curve(session, windows, sigma, noise_draws)[0] for session in sessions]
         return StepPrediction(
             s_curve_px=curves[0],
             cause_px={
@@ -142,7 +142,7 @@ class StepModel:
             roll_px=self.roll_rad * np.sqrt(2.0 * (lever**2).mean(0)),
             step_rms_px=rms_over(steps),
             step_rms_scatter_px=np.std(steps, axis=0, ddof=1),
-            session_px2=np.reshape([step_rms_px(curve) ** 2 for curve in alone], (-1, 2)),
+            session_px2=np.reshape([step_rms_px(curve) ** 2 for curve in session_curves], (-1, 2)),
             position_rms_px=rms_over(single),
             position_rms_scatter_px=np.std(single, axis=0, ddof=1),
         )
@@ -157,9 +157,9 @@ class StepModel:
     ) -> tuple[list[FloatArray], list[FloatArray]]:
         """RMS of steps and of positions (2,) of drawn chips on every path, of known errors (m, W, 2) and noise."""
         steps, single, m = [], [], self.positions
-        for path, (known, sigma) in enumerate(zip(known_px, sigma_px, strict=True)):
-            draws, stars = len(range(path, self.draws, len(known_px))), known.shape[1]
-            fixed = np.broadcast_to(known, (draws, *known.shape))
+        for path, (deterministic, sigma) in enumerate(zip(known_px, sigma_px, strict=True)):
+            draws, stars = len(range(path, self.draws, len(known_px))), deterministic.shape[1]
+            fixed = np.broadcast_to(deterministic, (draws, *deterministic.shape))
             for part in patterns:
                 moved = self._on_path(part, path).reshape(stars, 2 * m, -1)
                 shift = moved @ rng.standard_normal((stars, moved.shape[2], draws))
@@ -172,8 +172,8 @@ class StepModel:
 
     def _lever(self) -> FloatArray:
         """Motion of the stars (j, 2) per radian of roll, without their mean."""
-        place = self.windows.position_px.reshape(self.positions, -1, 2).mean(0)
-        from_mean = place - place.mean(0)
+        position = self.windows.position_px.reshape(self.positions, -1, 2).mean(0)
+        from_mean = position - position.mean(0)
         return np.column_stack([-from_mean[:, 1], from_mean[:, 0]])
 
     def _patterns(
@@ -265,8 +265,10 @@ class StepModel:
             valid = usable_pixels(self.defect, windows.corner_px, windows.light_e.shape[1])
             hit = np.flatnonzero(~valid.all((1, 2)))
             if hit.size:
-                masked, whole = (windows.select(hit, of) for of in (valid, np.ones_like(valid)))
-                with_mask, without = (noiseless_positions(centroider, one, self.noise) for one in (masked, whole))
+                masked, unmasked = (windows.select(hit, of) for of in (valid, np.ones_like(valid)))
+                with_mask, without = (
+                    noiseless_positions(centroider, window, self.noise) for window in (masked, unmasked)
+                )
                 moved[hit] = with_mask - without
         return moved.reshape(self.positions, -1, 2)
 
@@ -287,13 +289,15 @@ def step_term(predictions: Sequence[StepPrediction], *, places: int, pixel_arcse
     The uncertainty is the scatter of the number of a test at ``places``, of which some are predicted: other chips,
     other noise, other paths. A session that gave the PSF serves all places: its effect does not average over them.
     """
-    value = rms_over([one.step_rms_px for one in predictions])
-    variance = np.mean([(2.0 * one.step_rms_px * one.step_rms_scatter_px) ** 2 for one in predictions], axis=0)
-    alone = common = np.zeros(2)
+    value = rms_over([prediction.step_rms_px for prediction in predictions])
+    variance = np.mean(
+        [(2.0 * prediction.step_rms_px * prediction.step_rms_scatter_px) ** 2 for prediction in predictions], axis=0
+    )
+    of_session = common = np.zeros(2)
     if len(predictions[0].session_px2):
-        alone = np.mean([one.session_px2.var(0, ddof=1) for one in predictions], axis=0)
-        common = next_draw_variance(np.mean([one.session_px2 for one in predictions], axis=0))
-    of_square = np.maximum(variance - alone, 0.0) / places + common
+        of_session = np.mean([prediction.session_px2.var(0, ddof=1) for prediction in predictions], axis=0)
+        common = next_draw_variance(np.mean([prediction.session_px2 for prediction in predictions], axis=0))
+    of_square = np.maximum(variance - of_session, 0.0) / places + common
     spread = np.sqrt(of_square) / np.maximum(2.0 * value, 1e-300)
     scale = 3.0 * pixel_arcsec
     return ErrorTerm(arcsec=scale * value, uncertainty_arcsec=scale * spread)

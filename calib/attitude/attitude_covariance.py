@@ -19,16 +19,20 @@ DEGENERATE = 1e-13
 
 
 def attitude_covariance(
-    v_cam: FloatArray, variance_rad2: FloatArray, frame: NDArray[np.int64], frames: int, share: FloatArray | None = None
+    v_cam: FloatArray,
+    variance_rad2: FloatArray,
+    frame: NDArray[np.int64],
+    frames: int,
+    probability: FloatArray | None = None,
 ) -> FloatArray:
-    """Covariance of the error's rotation vector in cam, ``(sum share (I - v v^T) / variance)^-1``.
+    """Covariance of the error's rotation vector in cam, ``(sum probability (I - v v^T) / variance)^-1``.
 
     Shuster and Oh, J. Guid. Control 4, 70 (1981); the estimate of `calib.attitude.attitude_solution.solve_wahba` with
     the right weights reaches it.
 
-    Shapes: ``v_cam`` (m, 3), ``variance_rad2`` (m,), ``frame`` (m,), ``share`` (m,).
+    Shapes: ``v_cam`` (m, 3), ``variance_rad2`` (m,), ``frame`` (m,), ``probability`` (m,).
     """
-    weight = np.divide(1.0 if share is None else share, variance_rad2)
+    weight = np.divide(1.0 if probability is None else probability, variance_rad2)
     outer = np.empty((frames, 3, 3))
     for a in range(3):
         for b in range(a, 3):
@@ -49,14 +53,14 @@ def attitude_of_shifts(v_cam: FloatArray, weight: FloatArray, shift_rad: FloatAr
 
 
 def covariance_of_noise(
-    v_cam: FloatArray, weight: FloatArray, variance_rad2: FloatArray, share: float = 1.0
+    v_cam: FloatArray, weight: FloatArray, variance_rad2: FloatArray, probability: float = 1.0
 ) -> FloatArray:
     """Covariance (3, 3) of the attitude of stars (n, 3) that err independently, with weights of any kind.
 
-    ``share``: probability that a star is measured at all; its error and its weight are missing together.
+    ``probability``: probability that a star is measured at all; its error and its weight are missing together.
     """
     inverse = np.linalg.inv(_information(v_cam, weight))
-    return np.asarray(inverse @ _information(v_cam, weight**2 * variance_rad2) @ inverse / share)
+    return np.asarray(inverse @ _information(v_cam, weight**2 * variance_rad2) @ inverse / probability)
 
 
 def attitude_of_velocity(velocity_km_per_s: ArrayLike) -> FloatArray:

@@ -208,8 +208,8 @@ def solve_wahba(
     """
     v_cam = np.asarray(v_cam, float)
     frame = np.zeros(len(v_cam) if v_cam.ndim else 0, np.int64)
-    many = solve_wahba_many(v_cam, v_ref, frame, frames=1, sigma_rad=sigma_rad, weight=weight, method=method)
-    return many.frame(0)
+    solutions = solve_wahba_many(v_cam, v_ref, frame, frames=1, sigma_rad=sigma_rad, weight=weight, method=method)
+    return solutions.frame(0)
 
 
 def solve_wahba_many(
@@ -361,9 +361,9 @@ def _counted(index: NDArray[np.int64], values: FloatArray, count: int) -> FloatA
     return np.asarray(np.bincount(index, values, minlength=count), np.float64)
 
 
-def _summed(left: FloatArray, right: FloatArray, index: NDArray[np.int64], count: int) -> FloatArray:
-    """Sums (f, 3, 3) of ``left right^T`` (3, n each) over the stars of each frame."""
-    sums = [[_counted(index, row * column, count) for column in right] for row in left]
+def _summed(first: FloatArray, second: FloatArray, index: NDArray[np.int64], count: int) -> FloatArray:
+    """Sums (f, 3, 3) of ``first second^T`` (3, n each) over the stars of each frame."""
+    sums = [[_counted(index, row * column, count) for column in second] for row in first]
     return np.asarray(np.moveaxis(np.array(sums), 2, 0))
 
 

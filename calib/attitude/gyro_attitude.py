@@ -76,10 +76,10 @@ def _running_products(q: _Quaternions) -> _Quaternions:
     pairs = _running_products(q.at(slice(1, None, 2)) @ q.at(slice(0, n - 1, 2)))
     filled = q.at(slice(2, None, 2)) @ pairs.at(slice(0, (n - 1) // 2))
     out = _Quaternions(*(np.empty_like(part) for part in q))
-    for whole, first, odd, even in zip(out, q, pairs, filled, strict=True):
-        whole[..., 0] = first[..., 0]
-        whole[..., 1::2] = odd
-        whole[..., 2::2] = even
+    for product, first, odd, even in zip(out, q, pairs, filled, strict=True):
+        product[..., 0] = first[..., 0]
+        product[..., 1::2] = odd
+        product[..., 2::2] = even
     return out
 
 
@@ -140,12 +140,12 @@ def _integrated(time: FloatArray, rate: FloatArray, at_s: ArrayLike | None, coni
     at = _requested(time, at_s)
     step = np.diff(time)
     turn = _turns(step, rate, coning)
-    whole = _running_products(_from_turns(turn))
+    products = _running_products(_from_turns(turn))
     # The interval of each requested time, and how much of it has passed; its rate is taken as constant there.
     interval = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(step) - 1)
     part = (at - time[interval]) / step[interval]
     rest = _from_turns(part[:, None] * turn[..., interval, :])
-    before = whole.at(np.maximum(interval - 1, 0))
+    before = products.at(np.maximum(interval - 1, 0))
     first = interval == 0
     before = _Quaternions(*(np.where(first, unit, p) for p, unit in zip(before, (0.0, 0.0, 0.0, 1.0), strict=True)))
     return np.stack(rest @ before, axis=-1)

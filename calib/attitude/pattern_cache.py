@@ -101,8 +101,8 @@ def _keep(database: Any, folder: Path, key: str) -> None:
         os.replace(partial, folder / f"patterns-{key}-{_digest(partial)}.bin")
     finally:
         partial.unlink(missing_ok=True)
-    kept = sorted(folder.glob("patterns-*.bin"), key=lambda file: file.stat().st_mtime, reverse=True)
-    for file in kept[MOST_KEPT:]:
+    files = sorted(folder.glob("patterns-*.bin"), key=lambda file: file.stat().st_mtime, reverse=True)
+    for file in files[MOST_KEPT:]:
         file.unlink(missing_ok=True)
 
 

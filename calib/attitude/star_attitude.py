@@ -41,7 +41,7 @@ BRIGHTEST = 60
 """Detections that a rough attitude is matched with: about as deep as the catalogue, or chance matches abound."""
 
 
-class KnownStars(Protocol):
+class CatalogueStars(Protocol):
     """The catalogue that attitudes are solved with, such as `render.sky.sky.Sky`."""
 
     @property
@@ -115,7 +115,7 @@ class StarAttitude:
 def identify_stars(
     stars: StarTable,
     model: CameraModel,
-    known: KnownStars,
+    catalogue: CatalogueStars,
     *,
     near: Rotation | None = None,
     radius_px: float = 50.0,
@@ -131,7 +131,7 @@ def identify_stars(
         Measured stars (`calib.find_stars`); stars flagged as hot pixels or trails are not used.
     model : CameraModel
         The camera.
-    known : KnownStars
+    catalogue : CatalogueStars
         The sky.
     near : Rotation, optional
         Rough attitude, cam from icrs. Left out, tetra3rs searches the whole sky (``pip install 'starbench[solve]'``).
@@ -161,10 +161,12 @@ def identify_stars(
     pixel, flux = stars.pixel_px[usable], stars.flux_e[usable]
     if near is not None:
         bright = usable[np.argsort(-flux, kind="stable")[:BRIGHTEST]]
-        identified = _near(stars.pixel_px, bright, model, known, near, radius_px=radius_px, tolerance_px=tolerance_px)
+        identified = _near(
+            stars.pixel_px, bright, model, catalogue, near, radius_px=radius_px, tolerance_px=tolerance_px
+        )
     else:
         patterns = star_patterns(model) if database is None else database
-        identified = identify(pixel, model, patterns, flux=flux, catalogue=_ById(known))
+        identified = identify(pixel, model, patterns, flux=flux, catalogue=_ById(catalogue))
         if identified.status == "no_match":  # the catalogue may count its stars in another way than the patterns do
             identified = identify(pixel, model, patterns, flux=flux)
         identified = replace(identified, detected=usable[identified.detected])
@@ -174,7 +176,12 @@ def identify_stars(
 
 
 def solve_attitude(
-    stars: StarTable, identified: Identification, model: CameraModel, known: KnownStars, *, match_px: float = MATCH_PX
+    stars: StarTable,
+    identified: Identification,
+    model: CameraModel,
+    catalogue: CatalogueStars,
+    *,
+    match_px: float = MATCH_PX,
 ) -> StarAttitude:
     """Attitude from all stars of a frame that match a catalogue star.
 
@@ -186,7 +193,7 @@ def solve_attitude(
         Gives the attitude that stars are looked up with (`identify_stars`).
     model : CameraModel
         The camera.
-    known : KnownStars
+    catalogue : CatalogueStars
         The sky.
     match_px : float
         Largest distance of a star from its place.
@@ -200,12 +207,12 @@ def solve_attitude(
         return _without_stars(solve_wahba(np.empty((0, 3)), np.empty((0, 3))))
     fit = np.flatnonzero(stars.fit)
     pixel = stars.pixel_px[fit]
-    pairs = associate(pixel, known.direction, identified.attitude.rotation, model, radius_px=match_px)
+    pairs = associate(pixel, catalogue.direction, identified.attitude.rotation, model, radius_px=match_px)
     if len(pairs) < FEWEST:
         return _without_stars(identified.attitude)
     covariance = stars.covariance[fit[pairs.detected]]
     variance = (covariance[:, 0, 0] + covariance[:, 1, 1]) / 2.0
-    v_cam, v_ref = model.unproject(pixel[pairs.detected]), known.direction[pairs.catalogue]
+    v_cam, v_ref = model.unproject(pixel[pairs.detected]), catalogue.direction[pairs.catalogue]
     solution, inliers, common_px = balanced_attitude(v_cam, v_ref, variance, model.pixel_angle_rad)
     residual_px = pixel[pairs.detected] - model.project(solution.rotation.apply(v_ref))
     return StarAttitude(
@@ -266,22 +273,22 @@ def _near(
     pixel: FloatArray,
     rows: NDArray[np.int64],
     model: CameraModel,
-    known: KnownStars,
+    catalogue: CatalogueStars,
     near: Rotation,
     *,
     radius_px: float,
     tolerance_px: float,
 ) -> Identification:
     match = match_stars(
-        pixel[rows], known.direction, near, model, radius_px=radius_px, tolerance_px=min(tolerance_px, radius_px)
+        pixel[rows], catalogue.direction, near, model, radius_px=radius_px, tolerance_px=min(tolerance_px, radius_px)
     )
     return Identification(
         status="identified" if match.ok else match.status,
         message=match.message,
         attitude=match.attitude,
         detected=rows[match.association.detected],
-        catalogue_id=np.asarray(known.id)[match.association.catalogue],
-        direction=known.direction[match.association.catalogue],
+        catalogue_id=np.asarray(catalogue.id)[match.association.catalogue],
+        direction=catalogue.direction[match.association.catalogue],
         false_match_probability=match.false_match_probability,
     )
 
@@ -290,8 +297,8 @@ def _field_deg(model: CameraModel) -> float:
     """Horizontal field of view."""
     middle = model.geometry.centre_px
     edge = np.array([model.geometry.width_px / 2, 0.0])
-    left, right = model.unproject(np.stack([middle - edge, middle + edge]))
-    return float(np.arccos(np.clip(left @ right, -1.0, 1.0)) * RAD_DEG)
+    first, last = model.unproject(np.stack([middle - edge, middle + edge]))
+    return float(np.arccos(np.clip(first @ last, -1.0, 1.0)) * RAD_DEG)
 
 
 def star_patterns(model: CameraModel) -> Any:
@@ -307,17 +314,17 @@ def _database(field_deg: float) -> Any:
 class _ById(Mapping[int, FloatArray]):
     """Directions of a catalogue by identifier, without a dictionary of the whole sky."""
 
-    def __init__(self, known: KnownStars) -> None:
-        self._known, self._order = known, np.argsort(known.id, kind="stable")
+    def __init__(self, catalogue: CatalogueStars) -> None:
+        self._catalogue, self._order = catalogue, np.argsort(catalogue.id, kind="stable")
 
     def __getitem__(self, identifier: int) -> FloatArray:
-        rank = int(np.searchsorted(self._known.id, identifier, sorter=self._order))
-        if rank == len(self._order) or self._known.id[self._order[rank]] != identifier:
+        rank = int(np.searchsorted(self._catalogue.id, identifier, sorter=self._order))
+        if rank == len(self._order) or self._catalogue.id[self._order[rank]] != identifier:
             raise KeyError(identifier)
-        return np.asarray(self._known.direction[self._order[rank]])
+        return np.asarray(self._catalogue.direction[self._order[rank]])
 
     def __len__(self) -> int:
         return len(self._order)
 
     def __iter__(self) -> Iterator[int]:
-        return iter(np.asarray(self._known.id)[self._order].tolist())
+        return iter(np.asarray(self._catalogue.id)[self._order].tolist())

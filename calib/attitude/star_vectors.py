@@ -75,12 +75,12 @@ def sampled_method_ratios(
     """
     size = [model.geometry.width_px, model.geometry.height_px]
     pixel_rad = model.geometry.pixel_pitch_mm / model.value("focal_length_mm")
-    place = rng.uniform(-0.5, np.subtract(size, 0.5), (count, 2))
-    to_star = _turns(model.unproject(place))
+    position_px = rng.uniform(-0.5, np.subtract(size, 0.5), (count, 2))
+    to_star = _turns(model.unproject(position_px))
     vectors = sample_fisher(BORESIGHT, sigma_rad**-2, count, rng)
-    residual = model.project(np.einsum("nji,nj->ni", to_star, vectors)) - place
-    noise = sigma_rad / pixel_rad * rng.standard_normal(place.shape)
-    noisy = np.einsum("nij,nj->ni", to_star, model.unproject(place + noise))
+    residual = model.project(np.einsum("nji,nj->ni", to_star, vectors)) - position_px
+    noise = sigma_rad / pixel_rad * rng.standard_normal(position_px.shape)
+    noisy = np.einsum("nij,nj->ni", to_star, model.unproject(position_px + noise))
     fisher = _sigma(vectors)
     return (
         residual_sigma_px(residual) * pixel_rad / fisher,

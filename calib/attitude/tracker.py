@@ -121,10 +121,10 @@ def sky_coverage(guides: GuideCatalogue, model: CameraModel, *, attitudes: int =
     k = np.arange(attitudes)
     z = 1.0 - (2.0 * k + 1.0) / attitudes
     golden = np.pi * (3.0 - np.sqrt(5.0))
-    turned = Rotation.from_euler("ZYZ", np.column_stack([golden * k, np.arccos(z), k * np.sqrt(2.0) * np.pi])).inv()
+    attitude = Rotation.from_euler("ZYZ", np.column_stack([golden * k, np.arccos(z), k * np.sqrt(2.0) * np.pi])).inv()
     reach = 2.0 * np.sin(0.5 * _half_field_rad(model))
     tree, counts = cKDTree(guides.direction), np.zeros(attitudes, np.int64)
-    for n, matrix in enumerate(turned.as_matrix()):
+    for n, matrix in enumerate(attitude.as_matrix()):
         near = tree.query_ball_point(matrix[2], 1.02 * reach)
         if near:
             star_px = model.project(guides.direction[near] @ matrix.T)
@@ -488,15 +488,15 @@ class StarTracker:
         stars = self._fitted(stamps, image.noise)
         flags = stars.flags | np.uint32(StarFlag.SPIKE) * unlike_stars(stars)
         stars = replace(stars, flags=flags.astype(np.uint32))
-        known = replace(self.guides, direction=_apparent(self.guides.direction, velocity))
-        identified = identify_stars(stars, self.model, known, database=self._database)
+        apparent_guides = replace(self.guides, direction=_apparent(self.guides.direction, velocity))
+        identified = identify_stars(stars, self.model, apparent_guides, database=self._database)
         # bright stars in sharp focus look like hot pixels; then all that shines is tried, at last the brightest alone
         shining = replace(stars, flags=stars.flags & ~np.uint32(DOUBTFUL))
         rank = np.argsort(np.argsort(-np.nan_to_num(stars.flux_e, nan=-np.inf)))
         for most in (len(stars), *BRIGHTEST):
             if not identified.ok:
                 brightest = replace(shining, flux_e=np.where(rank < most, stars.flux_e, np.nan))
-                identified = identify_stars(brightest, self.model, known, database=self._database)
+                identified = identify_stars(brightest, self.model, apparent_guides, database=self._database)
         if not identified.ok or identified.attitude is None:
             return result(status="few_stars" if identified.status == "too_few" else "not_identified")
         tracked = self._track(frame, time_s, identified.attitude.rotation, velocity, "acquisition")

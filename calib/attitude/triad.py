@@ -99,6 +99,6 @@ def _covariance(matrix: FloatArray, observed: FloatArray, spread: FloatArray) ->
     by_second = -np.outer(b1, normal) / sine
     total = np.zeros((3, 3))
     for jacobian, covariance in zip((by_first + about, by_second), spread, strict=True):
-        turned = jacobian @ matrix
-        total += turned @ covariance @ turned.T
+        by_observed = jacobian @ matrix
+        total += by_observed @ covariance @ by_observed.T
     return total

@@ -89,29 +89,29 @@ class AttitudeCorrelated(RotationFamily):
 
     def start_pose(self, stars: Observations, model: CameraModel, *, robust: bool) -> LinkState:
         """Given values unchanged; the first attitude from all stars, each turned back to the first frame."""
-        seen = model.unproject(stars.pixel_px, stars.band)
+        measured = model.unproject(stars.pixel_px, stars.band)
         installation = np.eye(3)
         if self.installation is not None:
             installation = self.installation.as_matrix().reshape(3, 3)
         else:
-            installation = self._installation_from_turns(stars, seen, robust=robust)
+            installation = self._installation_from_turns(stars, measured, robust=robust)
         if self.first_attitude is not None:
             return LinkState(self.first_attitude.as_matrix().reshape(3, 3), installation)
         linked = installation @ self.turn @ installation.T
-        back = np.einsum("nji,nj->ni", linked[stars.frame], seen)
-        return LinkState(_one_rotation(back, stars.direction, robust=robust), installation)
+        in_first_frame = np.einsum("nji,nj->ni", linked[stars.frame], measured)
+        return LinkState(_one_rotation(in_first_frame, stars.direction, robust=robust), installation)
 
-    def _installation_from_turns(self, stars: Observations, seen: FloatArray, *, robust: bool) -> FloatArray:
+    def _installation_from_turns(self, stars: Observations, measured: FloatArray, *, robust: bool) -> FloatArray:
         """Installation (3, 3) from the turns between frames, the identity where they do not determine it.
 
         The turn of the camera between two frames is that of the body seen in cam, R_k R_1^T = A G_k A^T; so are the
         rotation vectors, and A solves Wahba's problem on them.
         """
-        several = np.flatnonzero(np.bincount(stars.frame, minlength=stars.frames) >= 3)
-        if len(several) < 3:
+        frames = np.flatnonzero(np.bincount(stars.frame, minlength=stars.frames) >= 3)
+        if len(frames) < 3:
             return np.eye(3)
-        attitude = rotations_of_groups(seen, stars.direction, stars.frame, stars.frames, robust=robust)[several]
-        body = self.turn[several]
+        attitude = rotations_of_groups(measured, stars.direction, stars.frame, stars.frames, robust=robust)[frames]
+        body = self.turn[frames]
         camera_turn = Rotation.from_matrix(attitude @ attitude[0].T).as_rotvec()
         body_turn = Rotation.from_matrix(body @ body[0].T).as_rotvec()
         size = np.linalg.svd(body_turn, compute_uv=False)
@@ -151,10 +151,10 @@ class AttitudeCorrelated(RotationFamily):
         """Frame by frame; frames with fewer than three stars are judged together, turned back by the gyro."""
         if np.bincount(stars.frame, minlength=1).max() >= 3:
             return frame_parity(stars, model)
-        back = np.einsum("nji,nj->ni", self.turn[stars.frame], model.unproject(stars.pixel_px, stars.band))
-        return parity_hint(back, stars.direction, np.zeros(len(back), dtype=np.int64), 1)
+        in_first_frame = np.einsum("nji,nj->ni", self.turn[stars.frame], model.unproject(stars.pixel_px, stars.band))
+        return parity_hint(in_first_frame, stars.direction, np.zeros(len(in_first_frame), dtype=np.int64), 1)
 
 
-def _one_rotation(seen: FloatArray, reference: FloatArray, *, robust: bool) -> FloatArray:
+def _one_rotation(measured: FloatArray, reference: FloatArray, *, robust: bool) -> FloatArray:
     """Rotation (3, 3) of all vectors together."""
-    return rotations_of_groups(seen, reference, np.zeros(len(seen), dtype=np.int64), 1, robust=robust)[0]
+    return rotations_of_groups(measured, reference, np.zeros(len(measured), dtype=np.int64), 1, robust=robust)[0]

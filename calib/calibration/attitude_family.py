@@ -157,9 +157,9 @@ class RotationFamily(AttitudeFamily, FrameRotations):
 
         fit, spread = fit_stages(make, start, stages, loss)
         if loss.redescending:
-            again = self.restart(stars, model, fit)
-            if again is not None:
-                fit, spread = fit_stages(make, again, stages[-1:], loss)
+            better_start = self.restart(stars, model, fit)
+            if better_start is not None:
+                fit, spread = fit_stages(make, better_start, stages[-1:], loss)
         solution, wrong = fit.solution, None
         kept = solution.robust_weight > 0
         if loss.name == "linear":

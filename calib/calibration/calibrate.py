@@ -185,7 +185,7 @@ def _coverage(stars: Observations, model: CameraModel) -> str:
     """A warning where the stars leave most of the detector empty."""
     size = np.array([model.geometry.width_px, model.geometry.height_px])
     cell = np.clip(np.floor((stars.pixel_px + 0.5) / size * 4.0), 0, 3).astype(np.int64)
-    seen = len(np.unique(cell[:, 0] * 4 + cell[:, 1]))
-    if seen >= LEAST_COVERAGE:
+    occupied = len(np.unique(cell[:, 0] * 4 + cell[:, 1]))
+    if occupied >= LEAST_COVERAGE:
         return ""
-    return f"stars reach only {seen} of 16 parts of the detector, the calibration is extrapolated over the rest"
+    return f"stars reach only {occupied} of 16 parts of the detector, the calibration is extrapolated over the rest"

@@ -86,8 +86,8 @@ class FreeAttitudes(RotationFamily):
         lost = np.bincount(stars.frame, weight <= 0, minlength=stars.frames) > LOST_PART * total
         if not lost.any():
             return None
-        found = start_attitudes(stars, model.with_parameters(state.camera), robust=True)
-        return StarState(state.camera, np.where(lost[:, None, None], found, state.pose))
+        attitudes = start_attitudes(stars, model.with_parameters(state.camera), robust=True)
+        return StarState(state.camera, np.where(lost[:, None, None], attitudes, state.pose))
 
 
 def _matrices(attitude: Rotation) -> FloatArray:
@@ -96,8 +96,8 @@ def _matrices(attitude: Rotation) -> FloatArray:
 
 def start_attitudes(stars: Observations, model: CameraModel, *, robust: bool = False) -> FloatArray:
     """Attitudes by Wahba's problem with a start camera, all frames at once."""
-    seen = model.unproject(stars.pixel_px, stars.band)
-    return rotations_of_groups(seen, stars.direction, stars.frame, stars.frames, robust=robust)
+    measured = model.unproject(stars.pixel_px, stars.band)
+    return rotations_of_groups(measured, stars.direction, stars.frame, stars.frames, robust=robust)
 
 
 def frame_parity(stars: Observations, model: CameraModel) -> str:

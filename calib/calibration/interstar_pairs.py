@@ -325,10 +325,12 @@ class WeightedPairProblem(_CameraProblem):
         """Derivatives of z by the parameters (f, 2n, q)."""
         frames, n, q, _ = directions.by_parameter.shape
         unit = self._frozen.unit
-        own = directions.by_parameter.reshape(frames, n * q, 3) @ (directions.unit.swapaxes(1, 2) @ unit)
-        others = directions.by_parameter.reshape(frames, n, 3 * q).swapaxes(1, 2) @ unit  # sum over j of (d u_j) u_j^T
-        others = directions.unit @ others.reshape(frames, q, 3, 3).transpose(0, 2, 1, 3).reshape(frames, 3, 3 * q)
-        across = own.reshape(frames, n, q, 3) + others.reshape(frames, n, q, 3)
+        by_star = directions.by_parameter.reshape(frames, n * q, 3) @ (directions.unit.swapaxes(1, 2) @ unit)
+        by_partners = directions.by_parameter.reshape(frames, n, 3 * q).swapaxes(1, 2) @ unit
+        by_partners = directions.unit @ by_partners.reshape(frames, q, 3, 3).transpose(0, 2, 1, 3).reshape(
+            frames, 3, 3 * q
+        )
+        across = by_star.reshape(frames, n, q, 3) + by_partners.reshape(frames, n, q, 3)
         return self._weighted(self._frozen.by_error @ across.swapaxes(2, 3))
 
     def system(self, evaluation: PairEvaluation, weight: FloatArray) -> ArrowSystem:

@@ -158,8 +158,8 @@ def free_bound(design: LinkedDesign, sigma_px: float) -> FloatArray:
         # a frame of one star leaves one direction of its attitude open: the pseudo-inverse takes what there is
         basis, size, _ = np.linalg.svd(attitude, full_matrices=False)
         basis = basis[:, size > 1e-9 * size[0]]
-        known = basis.T @ camera
-        normal -= known.T @ known
+        by_attitude = basis.T @ camera
+        normal -= by_attitude.T @ by_attitude
     return np.asarray(sigma_px**2 * np.linalg.inv(normal) / np.outer(scale, scale))
 
 

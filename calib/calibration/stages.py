@@ -76,10 +76,10 @@ def _typical_pull(residual: FloatArray) -> float:
         if not len(length):
             break
         value = float(np.median(length)) / MEDIAN_LENGTH[residual.shape[1]]
-        kept = length[length <= WRONG_PULL * value]
-        if len(kept) == len(length):
+        inliers = length[length <= WRONG_PULL * value]
+        if len(inliers) == len(length):
             break
-        length = kept
+        length = inliers
     return value
 
 
@@ -94,10 +94,10 @@ def _lower_scale(problem: Problem, state: Any, loss: Loss) -> tuple[Any, float, 
     if scale <= SAME_SPREAD:
         return state, 1.0, steps
     sided = solve(problem, state, loss="huber", tolerance=0.1, slack=1e-4, max_iterations=60)
-    again, lower, more = _descended(problem, sided.state, loss)
+    sided_state, lower, more = _descended(problem, sided.state, loss)
     steps += sided.solution.iterations + more
     if lower < 0.9 * scale:
-        state, scale = again, lower
+        state, scale = sided_state, lower
     return state, scale if scale > SAME_SPREAD else 1.0, steps
 
 

@@ -120,8 +120,8 @@ class StarProblem:
         self.unknowns = len(self.names) + family.frame_unknowns(observations)
         self.prior_terms = family.prior_terms
         self._white = whitening(observations.covariance_px2)
-        alone = bool(np.all(self._white[:, 1, 0] == 0))
-        self._inverse_sigma = np.einsum("nii->ni", self._white)[:, :, None] if alone else None
+        diagonal = bool(np.all(self._white[:, 1, 0] == 0))
+        self._inverse_sigma = np.einsum("nii->ni", self._white)[:, :, None] if diagonal else None
         self._all_free = bool(free.all())
         self._band = observations.band if np.any(observations.band) else None
         count = np.bincount(observations.frame, minlength=observations.frames)
@@ -185,19 +185,19 @@ class StarProblem:
         gradient = np.empty(q + a)
         common[:q, :q] = gram[:, :q, :q].sum(axis=0)
         gradient[:q] = gram[:, :q, -1].sum(axis=0)
-        turned = turn @ to_common
+        by_rotation = turn @ to_common
         if a:
             flat = to_common.reshape(-1, a)
             common[:q, q:] = np.tensordot(across, to_common, axes=([0, 2], [0, 1]))
             common[q:, :q] = common[:q, q:].T
-            common[q:, q:] = flat.T @ turned.reshape(-1, a)
+            common[q:, q:] = flat.T @ by_rotation.reshape(-1, a)
             gradient[q:] = flat.T @ gram[:, q : q + 3, -1].ravel()
             if prior is not None:
                 common[q:, q:] += prior.common
                 gradient[q:] += prior.gradient
         if to_block is None:
             return ArrowSystem(common=common, gradient=gradient)
-        border = np.concatenate([across @ to_block, turned.swapaxes(1, 2) @ to_block], axis=1)
+        border = np.concatenate([across @ to_block, by_rotation.swapaxes(1, 2) @ to_block], axis=1)
         block = to_block.swapaxes(1, 2) @ turn @ to_block
         block_gradient = np.einsum("fib,fi->fb", to_block, gram[:, q : q + 3, -1])
         if prior is not None:

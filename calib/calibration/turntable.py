@@ -272,8 +272,8 @@ class TurntableAttitudes(RotationFamily):
         if self.installation is not None:
             installation = self.installation.as_matrix().reshape(3, 3)
         else:
-            seen, group = model.unproject(stars.pixel_px, stars.band), np.zeros(len(stars), dtype=np.int64)
-            installation = rotations_of_groups(seen, self._on_table(stars, target), group, 1, robust=robust)[0]
+            measured, group = model.unproject(stars.pixel_px, stars.band), np.zeros(len(stars), dtype=np.int64)
+            installation = rotations_of_groups(measured, self._on_table(stars, target), group, 1, robust=robust)[0]
         axis, reading = np.zeros(len(self.errors.axis_names)), np.zeros((self.frames, self._reading_rate.shape[2]))
         return TableState(installation, target, axis, reading, nominal)
 
@@ -287,8 +287,8 @@ class TurntableAttitudes(RotationFamily):
 
     def rotations(self, pose: TableState) -> FloatArray:
         """A T^T exp(-w) Q, Q the turn of the target."""
-        back = self._table.swapaxes(1, 2)
-        return np.asarray(pose.installation @ back @ exponential(-self._turn(pose)) @ pose.target)
+        from_table = self._table.swapaxes(1, 2)
+        return np.asarray(pose.installation @ from_table @ exponential(-self._turn(pose)) @ pose.target)
 
     def rates(self, pose: TableState, rotation: FloatArray) -> tuple[FloatArray, FloatArray | None]:
         """Target, installation, axis errors; reading errors of the frame."""
@@ -309,10 +309,10 @@ class TurntableAttitudes(RotationFamily):
         """Turn target and installation, change the table's errors."""
         basis = pose.basis()
         size = basis.shape[1]
-        turned = exponential(basis @ common[:size]) @ pose.target
+        target = exponential(basis @ common[:size]) @ pose.target
         installation = exponential(common[size : size + 3]) @ pose.installation
         reading = pose.reading if block is None else pose.reading + block
-        return TableState(installation, turned, pose.axis + common[size + 3 :], reading, pose.star)
+        return TableState(installation, target, pose.axis + common[size + 3 :], reading, pose.star)
 
     def penalty(self, pose: TableState) -> float:
         """Squares of the table's errors over their variances."""
@@ -360,16 +360,16 @@ class TurntableAttitudes(RotationFamily):
     def parity(self, stars: Observations, model: CameraModel) -> str:
         """All stars together, in the frame of the table top."""
         target = self.start_pose(stars, model, robust=False).target
-        seen = model.unproject(stars.pixel_px, stars.band)
-        return parity_hint(seen, self._on_table(stars, target), np.zeros(len(seen), dtype=np.int64), 1)
+        measured = model.unproject(stars.pixel_px, stars.band)
+        return parity_hint(measured, self._on_table(stars, target), np.zeros(len(measured), dtype=np.int64), 1)
 
     def objection(self, start: TableState, pose: TableState) -> str:
         """A star far from where it was said to be: a reflection is a turn times the inversion of the star."""
-        turned = float(Rotation.from_matrix(pose.target @ start.target.T).magnitude())
-        if turned <= LARGEST_TURN:
+        angle = float(Rotation.from_matrix(pose.target @ start.target.T).magnitude())
+        if angle <= LARGEST_TURN:
             return ""
         return (
-            f"the fitted star lies {np.degrees(turned):.0f} deg from its start value: the image is mirrored "
+            f"the fitted star lies {np.degrees(angle):.0f} deg from its start value: the image is mirrored "
             "(exchange the axes or turn one of them round), or the start of the star or the axes of the table are wrong"
         )
 

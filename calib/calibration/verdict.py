@@ -73,22 +73,22 @@ def _too_many_wrong(spread: float, wrong: BoolArray, left_out: int, degrees_of_f
     return ""
 
 
-def parity_hint(seen: FloatArray, reference: FloatArray, group: IntArray, groups: int) -> str:
+def parity_hint(measured: FloatArray, reference: FloatArray, group: IntArray, groups: int) -> str:
     """Hint on parity: whether reflections fit the directions better than rotations do.
 
     The profile matrix of Wahba's problem, sum of u_seen u_reference^T, has the singular values s1 >= s2 >= s3; the best
     rotation reaches s1 + s2 + d s3 with the parity d = +-1, the best reflection s1 + s2 - d s3 (Markley 1988, J.
     Astronaut. Sci. 36, 245).
 
-    Shapes: ``seen`` (n, 3), ``reference`` (n, 3), ``group`` (n,).
+    Shapes: ``measured`` (n, 3), ``reference`` (n, 3), ``group`` (n,).
     """
-    good = np.all(np.isfinite(seen), axis=1)
-    products = (seen[good][:, :, None] * reference[good][:, None, :]).reshape(-1, 9)
-    profile = np.stack([np.bincount(group[good], products[:, i], minlength=groups) for i in range(9)], axis=1)
+    finite = np.all(np.isfinite(measured), axis=1)
+    products = (measured[finite][:, :, None] * reference[finite][:, None, :]).reshape(-1, 9)
+    profile = np.stack([np.bincount(group[finite], products[:, i], minlength=groups) for i in range(9)], axis=1)
     u, size, vt = np.linalg.svd(profile.reshape(-1, 3, 3))
     parity = np.sign(np.linalg.det(u) * np.linalg.det(vt))
-    enough = np.bincount(group[good], minlength=groups) >= 3
-    total = float(np.count_nonzero(good)) - float(np.sum(size[:, :2]))  # loss without the third part
+    enough = np.bincount(group[finite], minlength=groups) >= 3
+    total = float(np.count_nonzero(finite)) - float(np.sum(size[:, :2]))  # loss without the third part
     third = float(np.sum((parity * size[:, 2])[enough]))
     if third < 0 and abs(third) > 0.5 * abs(total - abs(third)):
         return (

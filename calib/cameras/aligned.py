@@ -63,8 +63,8 @@ class AlignedCamera(CameraModel):
         return self.model.project(checked_vectors(direction, 3, "direction") @ self.rotation_model_from_cam.T, band)
 
     def project_jacobian(self, direction: ArrayLike, band: ArrayLike | None = None) -> Projection:
-        turned = checked_vectors(direction, 3, "direction") @ self.rotation_model_from_cam.T
-        at = self.model.project_jacobian(turned, band)
+        in_model = checked_vectors(direction, 3, "direction") @ self.rotation_model_from_cam.T
+        at = self.model.project_jacobian(in_model, band)
         return Projection(at.pixel_px, at.by_direction @ self.rotation_model_from_cam, at.by_parameter)
 
     def unproject(self, pixel_px: ArrayLike, band: ArrayLike | None = None) -> FloatArray:

@@ -237,9 +237,9 @@ class CameraModel(ABC):
         inside = self.geometry.contains(pixel, margin_px=margin_px)
         if np.any(inside):
             chosen = None if band is None else np.broadcast_to(np.asarray(band), inside.shape)[inside]
-            back = self.unproject(pixel[inside], chosen)
+            unprojected = self.unproject(pixel[inside], chosen)
             unit = vector[inside] / np.linalg.norm(vector[inside], axis=1, keepdims=True)
-            inside[inside] = np.linalg.norm(back - unit, axis=1) < 1e-9  # NaN compares false
+            inside[inside] = np.linalg.norm(unprojected - unit, axis=1) < 1e-9  # NaN compares false
         return inside
 
 
@@ -263,9 +263,9 @@ def unproject_jacobian(model: CameraModel, pixel_px: ArrayLike, band: ArrayLike 
     Shapes: ``pixel_px`` (n, 2), ``band`` (n,), returns (n, 3).
     """
     direction = model.unproject(pixel_px, band)
-    known = np.asarray(np.isfinite(direction).all(axis=1))
-    if not known.all():
-        direction = np.where(known[:, None], direction, [0.0, 0.0, 1.0])
+    finite = np.asarray(np.isfinite(direction).all(axis=1))
+    if not finite.all():
+        direction = np.where(finite[:, None], direction, [0.0, 0.0, 1.0])
     _, a, b = model.project_jacobian(direction, band)
     xx = np.einsum("ni,ni->n", a[:, 0], a[:, 0])
     xy = np.einsum("ni,ni->n", a[:, 0], a[:, 1])
@@ -275,7 +275,7 @@ def unproject_jacobian(model: CameraModel, pixel_px: ArrayLike, band: ArrayLike 
     by_pixel[:, :, 0] = (yy[:, None] * a[:, 0] - xy[:, None] * a[:, 1]) / determinant[:, None]
     by_pixel[:, :, 1] = (xx[:, None] * a[:, 1] - xy[:, None] * a[:, 0]) / determinant[:, None]
     by_parameter = -(by_pixel @ b)
-    if not known.all():
+    if not finite.all():
         for array in (direction, by_pixel, by_parameter):
-            array[~known] = np.nan
+            array[~finite] = np.nan
     return Unprojection(direction, by_pixel, by_parameter)

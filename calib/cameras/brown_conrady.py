@@ -242,9 +242,9 @@ def fill_jacobian(
     for row, (along_x, along_y) in enumerate(((at.xx, at.xy), (at.yx, at.yy))):
         by_direction[:, row, 0] = along_x * scale
         by_direction[:, row, 1] = along_y * scale
-        turned = along_x * a + along_y * b
-        by_direction[:, row, 2] = -turned * scale
-        by_parameter[:, row, 0] = turned * per_pitch
+        radial = along_x * a + along_y * b
+        by_direction[:, row, 2] = -radial * scale
+        by_parameter[:, row, 0] = radial * per_pitch
     s = x * x + y * y
     x_px, y_px = x * per_pitch, y * per_pitch
     power_x, power_y = x_px, y_px

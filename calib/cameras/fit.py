@@ -112,13 +112,13 @@ def fit_to_map(
         raise DomainError(f"{len(vector)} directions and {len(pixel)} pixels for {len(chosen)} unknowns")
 
     def residuals(state: FloatArray) -> FloatArray:
-        turned = vector @ Rotation.from_rotvec(state[size:]).as_matrix().T
-        return np.asarray(model.with_parameters(state[:size]).project(turned, band) - pixel).ravel()
+        in_model = vector @ Rotation.from_rotvec(state[size:]).as_matrix().T
+        return np.asarray(model.with_parameters(state[:size]).project(in_model, band) - pixel).ravel()
 
     def jacobian(state: FloatArray) -> FloatArray:
-        turned = vector @ Rotation.from_rotvec(state[size:]).as_matrix().T
-        at = model.with_parameters(state[:size]).project_jacobian(turned, band)
-        by_turn = np.cross(turned[:, None, :], at.by_direction) @ right_jacobian(-state[size:])
+        in_model = vector @ Rotation.from_rotvec(state[size:]).as_matrix().T
+        at = model.with_parameters(state[:size]).project_jacobian(in_model, band)
+        by_turn = np.cross(in_model[:, None, :], at.by_direction) @ right_jacobian(-state[size:])
         return np.concatenate([at.by_parameter, by_turn], axis=2).reshape(2 * len(vector), size + 3)
 
     start = np.concatenate([model.parameters, np.zeros(3)])
@@ -177,15 +177,17 @@ def fit_camera(camera: Mapped | PixelMap, *, good_px: float = GOOD_PX) -> MapFit
         The best of the models if none is good enough. ``fit_camera(...).camera`` is the camera model for star
         identification and attitudes.
     """
-    known = camera if isinstance(camera, PixelMap) else camera.pixel_map()
-    geometry = SensorGeometry(width_px=known.width_px, height_px=known.height_px, pixel_pitch_mm=known.pixel_pitch_mm)
+    pixel_map = camera if isinstance(camera, PixelMap) else camera.pixel_map()
+    geometry = SensorGeometry(
+        width_px=pixel_map.width_px, height_px=pixel_map.height_px, pixel_pitch_mm=pixel_map.pixel_pitch_mm
+    )
     models: list[CameraModel] = [
-        BrownConrady.create(geometry, focal_length_mm=known.focal_length_mm),
-        *(Polynomial.create(geometry, focal_length_mm=known.focal_length_mm, degree=degree) for degree in (5, 7)),
+        BrownConrady.create(geometry, focal_length_mm=pixel_map.focal_length_mm),
+        *(Polynomial.create(geometry, focal_length_mm=pixel_map.focal_length_mm, degree=degree) for degree in (5, 7)),
     ]
     fits: list[MapFit] = []
     for model in models:
-        fits.append(fit_to_map(model, known.direction, known.pixel_px))
+        fits.append(fit_to_map(model, pixel_map.direction, pixel_map.pixel_px))
         if fits[-1].max_px < good_px:
             break
     return min(fits, key=lambda fit: fit.max_px)

@@ -158,14 +158,14 @@ def line_of_sight_map(
         direction, jacobian = model.unproject(pixel, band), None
     else:
         direction, _, jacobian = unproject_jacobian(model, pixel, band)
-    known = np.asarray(np.isfinite(direction).all(axis=1))
-    rotation = best_rotation(direction[known], truth[known])
+    finite = np.asarray(np.isfinite(direction).all(axis=1))
+    rotation = best_rotation(direction[finite], truth[finite])
     # taken in cam, at the model's directions, so that the frame of the truth does not matter
     axes = _tangent_axes(direction)
     error = np.einsum("nai,ni->na", axes, direction - truth @ rotation.as_matrix())
     sigma, weights = np.full(pixel.shape, np.nan), np.full(1, np.nan)
     if covariance is not None and jacobian is not None:
-        sigma[known], weights = _predicted(direction[known], axes[known], jacobian[known], covariance)
+        sigma[finite], weights = _predicted(direction[finite], axes[finite], jacobian[finite], covariance)
     return LineOfSightMap(
         pixel_px=pixel,
         error_arcsec=error * RAD_ARCSEC,
@@ -242,5 +242,5 @@ def drawn_rms(
         size, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
         root = scale[:, None] * axes * np.sqrt(np.maximum(size, 0.0))
         errors.append(rng.standard_normal((count, len(scale))) @ root.T)
-    first, second = (np.einsum("dp,pq,dq->d", one, matrix, one) for one in (errors[0], errors[0] + errors[1]))
+    first, second = (np.einsum("dp,pq,dq->d", error, matrix, error) for error in (errors[0], errors[0] + errors[1]))
     return np.sqrt(first), np.sqrt(second)

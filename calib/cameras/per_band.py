@@ -65,21 +65,21 @@ class PerBand(CameraModel):
         f = np.atleast_1d(np.asarray(focal_length_mm, dtype=np.float64))
         if f.ndim != 1 or f.size == 0 or not np.all(np.isfinite(f) & (f > 0)):
             raise DomainError(f"PerBand: focal_length_mm = {f.tolist()} mm; one positive value per band is needed")
-        own = np.empty((len(f), 3))
+        of_bands = np.empty((len(f), 3))
         for column, (name, values) in enumerate((("x0_px", x0_px), ("y0_px", y0_px))):
             array = np.asarray(values, dtype=np.float64)
             if array.shape not in ((), f.shape):
                 raise DomainError(f"PerBand: {name} of shape {array.shape} for {len(f)} bands")
-            own[:, column] = array
-        own[:, 2] = f
+            of_bands[:, column] = array
+        of_bands[:, 2] = f
         shared = [q1_per_mm2, q2_per_mm4, q3_per_mm6, p1_per_mm, p2_per_mm]
-        return cls(geometry=geometry, parameters=np.concatenate([own.ravel(), shared]), bands=len(f))
+        return cls(geometry=geometry, parameters=np.concatenate([of_bands.ravel(), shared]), bands=len(f))
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """x0, y0, f of each band, then q1, q2, q3, p1, p2, with their units."""
-        own = (f"{name}_band{k}_{unit}" for k in range(self.bands) for name, unit in _OWN)
-        return (*own, *COEFFICIENTS)
+        of_bands = (f"{name}_band{k}_{unit}" for k in range(self.bands) for name, unit in _PER_BAND)
+        return (*of_bands, *COEFFICIENTS)
 
     @property
     def pinhole_names(self) -> tuple[str, ...]:
@@ -89,15 +89,17 @@ class PerBand(CameraModel):
     @property
     def parameter_scales(self) -> FloatArray:
         """Changes that move the image by 1 px in the corner of the detector (3 b + 5,)."""
-        own = [[1.0, 1.0, edge_scales(self.geometry, self.parameters[3 * k + 2])[0]] for k in range(self.bands)]
-        return np.concatenate([np.ravel(own), edge_scales(self.geometry, 1.0)[1:]])
+        of_bands = [[1.0, 1.0, edge_scales(self.geometry, self.parameters[3 * k + 2])[0]] for k in range(self.bands)]
+        return np.concatenate([np.ravel(of_bands), edge_scales(self.geometry, 1.0)[1:]])
 
     def of_band(self, band: int) -> BrownConrady:
         """The camera in one band."""
         if not 0 <= band < self.bands:
             raise DomainError(f"band {band} of a camera with {self.bands} bands; bands are counted from 0")
-        own = self.parameters[3 * band : 3 * band + 3]
-        return BrownConrady(geometry=self.geometry, parameters=np.concatenate([own, self.parameters[3 * self.bands :]]))
+        pinhole = self.parameters[3 * band : 3 * band + 3]
+        return BrownConrady(
+            geometry=self.geometry, parameters=np.concatenate([pinhole, self.parameters[3 * self.bands :]])
+        )
 
     def project(self, direction: ArrayLike, band: ArrayLike | None = None) -> FloatArray:
         vector = checked_vectors(direction, 3, "direction")
@@ -141,4 +143,4 @@ class PerBand(CameraModel):
         return [(int(k), np.flatnonzero(number == k)) for k in np.unique(number)]
 
 
-_OWN = (("x0", "px"), ("y0", "px"), ("focal_length", "mm"))
+_PER_BAND = (("x0", "px"), ("y0", "px"), ("focal_length", "mm"))

@@ -213,8 +213,8 @@ def mean_and_chords(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
     if np.any(length < UNIT_TOLERANCE):
         raise DomainError("the directions cancel: their sum is zero, so that no mean direction exists")
     mean = total / length[:, None]
-    apart = vectors - mean[:, None]
-    return mean, np.einsum("rni,rni->rn", apart, apart)
+    difference = vectors - mean[:, None]
+    return mean, np.einsum("rni,rni->rn", difference, difference)
 
 
 def _checked(vectors: ArrayLike) -> FloatArray:
@@ -267,11 +267,11 @@ def tangent_plane(vectors: ArrayLike, mean: ArrayLike) -> FloatArray:
     """
     w, m = np.asarray(vectors, np.float64), np.asarray(mean, np.float64)
     basis = tangent_basis(m)
-    apart = (w - m) @ basis.T
+    across = (w - m) @ basis.T
     chord2 = np.einsum("ni,ni->n", w - m, w - m)
-    across2 = np.einsum("ni,ni->n", apart, apart)
+    across2 = np.einsum("ni,ni->n", across, across)
     scale = np.sqrt(np.divide(chord2, across2, out=np.ones_like(chord2), where=across2 > 0))
-    return np.asarray(apart * scale[:, None])
+    return np.asarray(across * scale[:, None])
 
 
 def tangent_basis(mean: ArrayLike) -> FloatArray:

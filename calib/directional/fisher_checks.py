@@ -116,14 +116,14 @@ def exponential_check(vectors: ArrayLike) -> Exponential:
     """
     w, mean = _fitted(vectors)
     chord2 = np.sort(np.einsum("ni,ni->n", w - mean, w - mean))
-    found = chord2 / chord2.mean()
-    count = len(found)
+    deviates = chord2 / chord2.mean()
+    count = len(deviates)
     steps = np.arange(count + 1) / count
-    below = -np.expm1(-found)
+    below = -np.expm1(-deviates)
     largest = float(max((steps[1:] - below).max(), (below - steps[:-1]).max()))
     return Exponential(
         expected=-np.log1p(-(np.arange(count) + 0.5) / count),
-        found=found,
+        found=deviates,
         statistic=(largest - 0.2 / count) * (np.sqrt(count) + 0.26 + 0.5 / np.sqrt(count)),
     )
 
@@ -169,15 +169,15 @@ def fisher_outliers(vectors: ArrayLike, *, level: float = LEVEL) -> BoolArray:
     order: list[int] = []
     last = 0
     for step in range(max(int(LARGEST_SHARE * len(w)), 1)):
-        left = np.flatnonzero(keep)
-        if len(left) < LEAST_COUNT:
+        remaining = np.flatnonzero(keep)
+        if len(remaining) < LEAST_COUNT:
             break
-        _, chord2 = mean_and_chords(w[None, left])
-        total, count = float(chord2.sum()), len(left)
+        _, chord2 = mean_and_chords(w[None, remaining])
+        total, count = float(chord2.sum()), len(remaining)
         farthest = int(np.argmax(chord2[0]))
         without = total - float(chord2[0, farthest]) * count / (count - 1)
-        keep[left[farthest]] = False
-        order.append(int(left[farthest]))
+        keep[remaining[farthest]] = False
+        order.append(int(remaining[farthest]))
         if count * max(without / total, 0.0) ** (count - 2) < level:  # (1 + E/(n - 2))^-1 = S_{n-1}/S_n
             last = step + 1
     outlier = np.zeros(len(w), dtype=bool)

@@ -81,18 +81,18 @@ def vector_accuracy(
     of the outlier test, None for no test; ``degrees_of_freedom`` are 2 (n - 1) unless the calibration used the same
     data. Raises `DomainError` as `calib.directional.fisher.fit_fisher` and its checks.
     """
-    every, residual = np.asarray(vectors, np.float64), np.asarray(residual_px, np.float64)
-    outlier = np.zeros(len(every), dtype=bool)
+    directions, residual = np.asarray(vectors, np.float64), np.asarray(residual_px, np.float64)
+    outlier = np.zeros(len(directions), dtype=bool)
     if outlier_probability is not None:
-        outlier = fisher_outliers(every, level=outlier_probability)
-    kept = every[~outlier]
+        outlier = fisher_outliers(directions, level=outlier_probability)
+    inliers = directions[~outlier]
     freedom = None if degrees_of_freedom is None else degrees_of_freedom - 2 * float(outlier.sum())
     return VectorAccuracy(
-        vectors=every,
+        vectors=directions,
         outlier=outlier,
-        fit=fit_fisher(kept, degrees_of_freedom=freedom),
-        isotropy=isotropy_check(kept),
-        tails=exponential_check(kept),
-        effective_degrees=effective_degrees(kept),
+        fit=fit_fisher(inliers, degrees_of_freedom=freedom),
+        isotropy=isotropy_check(inliers),
+        tails=exponential_check(inliers),
+        effective_degrees=effective_degrees(inliers),
         residual_px=residual,
     )

@@ -38,8 +38,8 @@ def covariance_of_spectrum(
 ) -> Determined:
     """Covariance from the spectrum (`calib.fitting.block_arrow.spectrum`) of the scaled information."""
     directions = eigenvectors / np.where(scale > 0, scale, 1.0)[:, None]
-    known = directions[:, determined]
-    covariance = factor * (known / eigenvalues[determined]) @ known.T
+    known_directions = directions[:, determined]
+    covariance = factor * (known_directions / eigenvalues[determined]) @ known_directions.T
     full_rank = determined.all() and len(eigenvalues) > 0
     condition = float(np.sqrt(eigenvalues[-1] / eigenvalues[0])) if full_rank else float("inf")
     lost = np.sum(eigenvectors[:, ~determined] ** 2, axis=1) > TAKES_PART
@@ -85,7 +85,7 @@ def transformed_covariance(covariance: FloatArray, derivative: FloatArray) -> Fl
     """
     lost = ~np.isfinite(np.diagonal(covariance))
     finite = np.where(np.isfinite(covariance), covariance, 0.0)
-    turned = np.where(np.isfinite(derivative), derivative, 0.0)
-    out = turned @ finite @ turned.T
+    finite_derivative = np.where(np.isfinite(derivative), derivative, 0.0)
+    out = finite_derivative @ finite @ finite_derivative.T
     _make_infinite(out, np.any((np.abs(derivative) > 1e-12) & lost | ~np.isfinite(derivative), axis=1))
     return np.asarray(0.5 * (out + out.T))

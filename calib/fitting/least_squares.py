@@ -155,20 +155,20 @@ def _solve(problem: Problem, start: Any, chosen: Loss, scale: float, limits: tup
     counted = weight > 0  # what a redescending loss threw away is no longer in the fit
     value, derivative = problem.reported(walk.state)
     factor = chosen.variance_factor(residual.shape[1])
-    found = covariance_of(reduced, problem.names, factor=factor)
+    determined = covariance_of(reduced, problem.names, factor=factor)
     status, message = walk.status, walk.message
-    if inside and found.unknown:
-        status, message = "singular", joined(found.message, "" if walk.status == "converged" else message)
+    if inside and determined.unknown:
+        status, message = "singular", joined(determined.message, "" if walk.status == "converged" else message)
     solution = Solution(
         value=value,
         names=problem.names,
-        covariance=transformed_covariance(found.covariance, derivative),
+        covariance=transformed_covariance(determined.covariance, derivative),
         status=status,
         message=message,
         iterations=walk.iterations,
         chi2=float(np.sum(residual[counted] ** 2) + walk.evaluation.penalty) if inside else float("inf"),
         degrees_of_freedom=int(residual[counted].size + problem.prior_terms - problem.unknowns),
-        condition=found.condition,
+        condition=determined.condition,
         residual_pulls=residual.ravel(),
         robust_weight=weight,
     )

@@ -28,11 +28,11 @@ def chi_square_rise(problem: Problem, state: Any, weight: FloatArray) -> tuple[f
     """
     evaluation = problem.evaluate(state)
     reduced = problem.system(evaluation, weight).reduce()
-    value, vector, known = spectrum(reduced)
-    if not known.all():
+    eigenvalues, eigenvectors, determined = spectrum(reduced)
+    if not determined.all():
         return float("nan"), []
     scale = np.where(reduced.scale > 0, reduced.scale, 1.0)
-    sigma = vector[:, 0] / scale / np.sqrt(value[0])
+    sigma = eigenvectors[:, 0] / scale / np.sqrt(eigenvalues[0])
 
     def chi_square(at: Any) -> float:
         squares = np.einsum("ni,ni->n", at.residual, at.residual)
@@ -46,5 +46,5 @@ def chi_square_rise(problem: Problem, state: Any, weight: FloatArray) -> tuple[f
         )
         rises.append(chi_square(moved) - chi_square(evaluation))
     rise = float(np.mean(rises))
-    names = [name for name, part in zip(problem.names, vector[:, 0] ** 2, strict=True) if part > NAMED_PART]
+    names = [name for name, part in zip(problem.names, eigenvectors[:, 0] ** 2, strict=True) if part > NAMED_PART]
     return rise if np.isfinite(rise) else float("inf"), names

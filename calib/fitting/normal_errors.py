@@ -40,10 +40,10 @@ def log_likelihood(error: ArrayLike, covariance: ArrayLike) -> tuple[float, floa
 
 
 def conditioned(
-    value: FloatArray, covariance: FloatArray, at: list[int], known: ArrayLike
+    value: FloatArray, covariance: FloatArray, at: list[int], given: ArrayLike
 ) -> tuple[FloatArray, FloatArray]:
     """Values (p,) and covariance (p, p) given that some unknowns have known values: conditional normal distribution."""
     gain = covariance[:, at] @ np.linalg.inv(covariance[np.ix_(at, at)])
     spread = covariance - gain @ covariance[at]
     spread[at], spread[:, at] = 0.0, 0.0
-    return value - gain @ (value[at] - np.asarray(known, float)), spread
+    return value - gain @ (value[at] - np.asarray(given, float)), spread

@@ -103,5 +103,5 @@ class Solution:
         if true.shape != self.value.shape:
             raise DomainError(f"truth of shape {true.shape} for {len(self.names)} unknowns")
         sigma = self.sigma
-        known = (sigma > 0) & np.isfinite(sigma)
-        return np.divide(self.value - true, sigma, out=np.full(true.shape, np.nan), where=known)
+        determined = (sigma > 0) & np.isfinite(sigma)
+        return np.divide(self.value - true, sigma, out=np.full(true.shape, np.nan), where=determined)

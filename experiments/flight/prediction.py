@@ -253,7 +253,8 @@ class Budget:
             thermal, blurred = self._thermal_shift(state, v)
             sigmas = {"noise": noise, "pixel": pixel, "spot": np.hypot(phase, spot), "focus": blurred}
             numbers = {
-                f"{name}_arcsec2": self.pixel_arcsec**2 * np.diag(covariance_of_noise(v, weight, sigma**2, share=fit))
+                f"{name}_arcsec2": self.pixel_arcsec**2
+                * np.diag(covariance_of_noise(v, weight, sigma**2, probability=fit))
                 for name, sigma in sigmas.items()
             } | {
                 f"{name}_arcsec": RAD_ARCSEC * attitude_of_shifts(v, weight, self._turned(v, moved))

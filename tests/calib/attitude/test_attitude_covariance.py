@@ -48,7 +48,7 @@ def test_one_star_leaves_the_roll_open_and_half_a_star_counts_half():
     found = attitude_covariance(v, np.full(6, 1e-10), frame, 3)
     assert np.isfinite(found[0]).all()
     assert np.isinf(found[1:]).all()
-    half = attitude_covariance(v, np.full(6, 1e-10), frame, 3, share=np.full(6, 0.5))
+    half = attitude_covariance(v, np.full(6, 1e-10), frame, 3, probability=np.full(6, 0.5))
     np.testing.assert_allclose(half[0], 2.0 * found[0], rtol=1e-12)
 
 
@@ -72,7 +72,7 @@ def test_wrong_weights_cost_what_unequal_errors_make_of_them():
     covariance = covariance_of_noise(PAIR, np.ones(2), np.array([1.0, 9.0]))
     assert covariance[1, 1] == pytest.approx(10.0 / 4.0, rel=1e-12)
     assert covariance[2, 2] == pytest.approx(10.0 / 4.0 / np.sin(HALF_RAD) ** 2, rel=1e-12)
-    half = covariance_of_noise(PAIR, np.ones(2), np.array([1.0, 9.0]), share=0.5)
+    half = covariance_of_noise(PAIR, np.ones(2), np.array([1.0, 9.0]), probability=0.5)
     np.testing.assert_allclose(half, 2.0 * covariance, rtol=1e-12)
 
 
