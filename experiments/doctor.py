@@ -142,14 +142,14 @@ def probe() -> None:
     import psutil
 
     from optics.errors import BackendError
-    from render.engine.jit import SAID, dr
+    from render.engine.jit import STDERR, dr
     from render.engine.llvm import check_llvm, llvm_version
 
     paths = (memory_map.path for memory_map in psutil.Process().memory_maps())
     result: dict[str, Any] = {"llvm": llvm_version(), "library": next((path for path in paths if "LLVM" in path), None)}
     result["threads"], result["cuda"] = dr.thread_count(), bool(dr.has_backend(dr.JitBackend.CUDA))
     try:
-        check_llvm(dr.detail.llvm_version(), metadata.version("drjit"), said=SAID)
+        check_llvm(dr.detail.llvm_version(), metadata.version("drjit"), printed=STDERR)
     except BackendError as error:
         result["llvm_error"] = str(error)
     print(json.dumps(result), flush=True)
