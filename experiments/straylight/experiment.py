@@ -24,9 +24,9 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.frames import polar_direction
 from optics.light.pst import PointSourceTransmittance, read_pst, write_pst
-from render.baffle.geometry import VanedBaffle
 from render.baffle.light import WorstPaths
 from render.baffle.transmittance import CAUSES, SensorTransmittance
+from render.baffle.vaned_baffle import VanedBaffle
 from render.bodies.stray_light import BandLight, band_light, earth_limb_pst
 from render.sensor_file.filters import open_band
 from render.sensor_file.instrument import Instrument, build_instrument

@@ -13,7 +13,6 @@ from optics.lens.system import LensSystem
 from optics.rays.ghosts import entrance_radius_mm
 from optics.rays.surface_scatter import ScatterLaw, scattering_surfaces
 from render.baffle.configured import configured_baffle, configured_coating
-from render.baffle.geometry import VanedBaffle
 from render.baffle.light import BaffleScene
 from render.baffle.transmittance import (
     LensTransmittance,
@@ -22,6 +21,7 @@ from render.baffle.transmittance import (
     lens_transmittance,
     sensor_transmittance,
 )
+from render.baffle.vaned_baffle import VanedBaffle
 from render.sensor_file.instrument import Instrument
 from render.sensor_file.stray import BaffleConfig
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from optics.errors import DomainError
-from render.baffle.geometry import BlackCoating, Mesh, VanedBaffle, black_coating, vaned_baffle
-from render.baffle.light import read_mesh
+from render.baffle.black_coating import BlackCoating, black_coating
+from render.baffle.mesh import Mesh, read_mesh
+from render.baffle.vaned_baffle import VanedBaffle, vaned_baffle
 from render.sensor_file.stray import BaffleConfig
 
 
 def configured_coating(config: BaffleConfig) -> BlackCoating:
-    """The black coating, by its name or by its own numbers."""
+    """The black coating, by its name or by the numbers of the table."""
     if config.coating != "own":
         return black_coating(config.coating)
     return BlackCoating(

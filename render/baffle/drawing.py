@@ -1,4 +1,4 @@
-"""Section through a baffle in front of its lens, beside `optics.figures.draw_lens`, with the paths of most light."""
+"""Section through a baffle in front of its lens (`optics.figures.draw_lens`), with the paths of most light."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from render.baffle.geometry import Mesh, VanedBaffle
 from render.baffle.light import WorstPaths
+from render.baffle.mesh import Mesh
+from render.baffle.vaned_baffle import VanedBaffle
 
 WIDTH_IN = 7.6
 INK, WARM, SUN = "#222222", "#d55e00", "#b07000"
@@ -30,14 +31,11 @@ def draw_baffle(panel: Any, baffle: VanedBaffle | Mesh, *, first_mm: float, entr
 
 
 def draw_paths(panel: Any, paths: WorstPaths, *, first_mm: float) -> None:
-    """Lines from the surfaces seen to the entrance, thicker where more light comes.
-
-    Turned into the plane of the drawing, the entrance above or below as they meet.
-    """
-    for point, start, share in zip(paths.point_mm, paths.entrance_mm, paths.share, strict=True):
+    """Lines from the first surfaces to the entrance, rotated into the plane of the drawing; width by their light."""
+    for point, start, fraction in zip(paths.point_mm, paths.entrance_mm, paths.fraction, strict=True):
         height = float(np.hypot(*point[:2]))
         side = np.sign(point[0]) or 1.0
-        width = 0.3 + 1.2 * share / paths.share.max()
+        width = 0.3 + 1.2 * fraction / paths.fraction.max()
         ends = [side * height, side * float(start[:2] @ point[:2]) / max(height, 1e-9)]
         panel.plot([first_mm - point[2], first_mm], ends, color=WARM, linewidth=width, alpha=0.6)
 

@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,11 +23,14 @@ from numpy.typing import ArrayLike
 from scipy.stats import qmc
 
 from optics.arrays import FloatArray
-from optics.errors import ConfigError, DomainError
+from optics.errors import DomainError
 from optics.frames import perpendicular
 from optics.rays.pupil_sampling import gauss_disk
-from render.baffle.geometry import BlackCoating, Mesh, VanedBaffle, check_closed, read_glb, vaned_mesh
+from render.baffle.black_coating import BlackCoating
+from render.baffle.mesh import Mesh
+from render.baffle.vaned_baffle import VanedBaffle, vaned_mesh
 from render.engine import Engine
+from render.engine.triangle_mesh import mitsuba_mesh
 from render.engine.upload import uploaded
 
 BOUNCES = 8
@@ -38,38 +40,12 @@ LOG2_PASS, MOST_PASSES, FEWEST_PASSES = 15, 64, 4
 KNOTS = 181
 EDGE_POINTS, ENTRANCE_RINGS, ENTRANCE_ARMS = 144, 3, 12
 LIFT_MM = 0.02
-"""Rays start so far off the surfaces they belong to; the tube's own numbers are float32."""
+"""Distance of the start of rays from their surface; vertices are float32."""
 DIRECT_RINGS, DIRECT_ARMS = 24, 96
 FLOOR = 1e-30
 
 LensWeight = Callable[[FloatArray], FloatArray]
 """PST of the bare lens at angles [rad] from the boresight."""
-
-
-def read_mesh(path: str | Path) -> Mesh:
-    """A closed mesh of the user's: PLY or OBJ by Mitsuba, binary glTF."""
-    file = Path(path)
-    if not file.is_file():
-        raise ConfigError(f"{file}: no such file")
-    if file.suffix.lower() == ".glb":
-        mesh = read_glb(file)
-    elif file.suffix.lower() in (".ply", ".obj"):
-        mi = Engine.active().mitsuba
-        try:
-            shape = mi.load_dict({"type": file.suffix.lower()[1:], "filename": str(file)})
-        except RuntimeError as error:
-            reason = (str(error).strip().splitlines() or ["no reason given"])[-1].strip()
-            raise ConfigError(f"{file}: cannot be read as a mesh ({reason})") from None
-        parameters = mi.traverse(shape)
-        mesh = Mesh(
-            vertex_mm=np.array(parameters["vertex_positions"], dtype=np.float64).reshape(-1, 3),
-            face=np.array(parameters["faces"], dtype=np.int64).reshape(-1, 3),
-            name=str(file),
-        )
-    else:
-        raise ConfigError(f"{file}: a mesh file must be .ply, .obj or .glb")
-    check_closed(mesh)
-    return mesh
 
 
 def lens_weight(angle_deg: ArrayLike, value: ArrayLike) -> LensWeight:
@@ -89,10 +65,10 @@ def cylinder_intensity(
     """Radiant intensity per length [W sr^-1 mm^-1] of a thin Lambertian cylinder in light of 1 W / mm^2.
 
     rho r / pi sin(s) sin(e) [(pi - a) cos a + sin a] / 2 with the angles s, e of source and eye to the axis and a
-    between them as seen along it; arguments are unit vectors (..., 3).
+    between their projections on the plane normal to it; arguments are unit vectors (..., 3).
     """
     planes = [v - along * (v * along).sum(axis=-1, keepdims=True) for v in (to_source, to_eye)]
-    sines = [np.linalg.norm(one, axis=-1) for one in planes]
+    sines = [np.linalg.norm(v, axis=-1) for v in planes]
     cosine = (planes[0] * planes[1]).sum(axis=-1) / np.maximum(sines[0] * sines[1], 1e-12)
     a = np.arccos(np.clip(cosine, -1.0, 1.0))
     phase = 0.5 * ((np.pi - a) * np.cos(a) + np.sin(a))
@@ -103,21 +79,21 @@ def cylinder_intensity(
 class BaffleLight:
     """PST of a source behind a baffle, by cause."""
 
-    direct: float  # Part of the entrance that the source shines on
+    direct: float  # Fraction of the entrance in the light of the source
     walls: float  # PST by walls and vanes
     walls_error: float  # Standard error
     edges: float  # PST by the edges of vanes
-    edges_error: float  # As if its points had been drawn
+    edges_error: float  # As if its points were random
     rays: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WorstPaths:
-    """Origin on the baffle of the light that passes the lens: first surfaces seen from the lens."""
+    """Origin on the baffle of the light that passes the lens: first surfaces visible from the lens."""
 
     point_mm: FloatArray  # (n, 3)
     entrance_mm: FloatArray  # (n, 3)
-    share: FloatArray  # (n,) Of the walls' PST
+    fraction: FloatArray  # (n,) Of the PST of the walls
 
 
 class BaffleScene:
@@ -130,18 +106,12 @@ class BaffleScene:
         self.baffle = parts if isinstance(parts, VanedBaffle) else None
         self.mesh = vaned_mesh(parts) if isinstance(parts, VanedBaffle) else parts
         self.coating, self.entrance_mm, self.seed = coating, entrance_mm, seed
-        properties = mi.Properties()
-        properties["black"] = mi.load_dict(coating.bsdf())
-        shape = mi.Mesh("baffle", len(self.mesh.vertex_mm), len(self.mesh.face), props=properties)
-        parameters = mi.traverse(shape)
-        parameters["vertex_positions"] = self.mesh.vertex_mm.astype(np.float32).ravel()
-        parameters["faces"] = self.mesh.face.astype(np.uint32).ravel()
-        parameters.update()
+        shape = mitsuba_mesh("baffle", self.mesh.vertex_mm, self.mesh.face, coating.bsdf())
         sun = {"type": "directional", "direction": [0.0, 0.0, -1.0], "irradiance": 1.0}
         self._scene = mi.load_dict({"type": "scene", "baffle": shape, "sun": sun})
         self._parameters = mi.traverse(self._scene)
         self._integrator = mi.load_dict({"type": "path", "max_depth": BOUNCES + 1, "rr_depth": BOUNCES + 1})
-        self._seen = self._visible()
+        self._filled = self._filled_fraction()
         self._check_field(field_deg)
 
     def _ray(self, origin: FloatArray, direction: FloatArray) -> Any:
@@ -159,62 +129,55 @@ class BaffleScene:
         return np.array(self._scene.ray_test(ray), dtype=bool)
 
     def _disk(self, rings: int, arms: int) -> tuple[FloatArray, FloatArray]:
-        """Points of the entrance (n, 3) and the parts of it that they stand for."""
+        """Points of the entrance (n, 3) and their weights, of sum 1."""
         samples = gauss_disk(rings, arms)
         x, y = self.entrance_mm * samples.x, self.entrance_mm * samples.y
         return np.stack([x, y, np.full(len(x), LIFT_MM)], 1), samples.weight
 
     def _check_field(self, field_deg: float) -> None:
+        azimuth = 2.0 * np.pi * np.arange(48) / 48
         samples = gauss_disk(4, 48)
-        edge = np.radians(field_deg) * np.array([0.0, 0.5, 1.0])
-        turn = 2.0 * np.pi * np.arange(48) / 48
-        for theta in edge:
-            for phi in turn if theta else turn[:1]:
-                rim = (
-                    0.999
-                    * self.entrance_mm
-                    * np.stack([samples.x, samples.y], axis=1)
-                    / np.hypot(samples.x, samples.y).max()
-                )
-                origin = np.column_stack([rim, np.full(len(rim), LIFT_MM)])
-                towards = np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
-                if self.blocked(origin, towards[None]).any():
+        scale = 0.999 * self.entrance_mm / np.hypot(samples.x, samples.y).max()
+        origin = np.stack([scale * samples.x, scale * samples.y, np.full(len(samples.x), LIFT_MM)], axis=1)
+        for theta in np.radians(field_deg) * np.array([0.0, 0.5, 1.0]):
+            for phi in azimuth if theta else azimuth[:1]:
+                if self.blocked(origin, _vector(theta, phi)[None]).any():
                     raise DomainError(
                         f"the baffle cuts the beam of the field at {np.degrees(theta):.3g} deg; its vanes must leave "
                         f"the entrance of radius {self.entrance_mm:.4g} mm free up to {field_deg:.3g} deg"
                     )
 
-    def _visible(self) -> FloatArray:
-        """Part of the directions at the middle of each of KNOTS - 1 bins of the angle that meet the baffle."""
+    def _filled_fraction(self) -> FloatArray:
+        """Fraction of the directions in each of KNOTS - 1 bins of the angle that meet the baffle."""
         rng = np.random.default_rng(self.seed)
         theta = 0.5 * np.pi * (np.repeat(np.arange(KNOTS - 1), 200) + rng.random(200 * (KNOTS - 1))) / (KNOTS - 1)
-        phi, r, turn = (
-            2.0 * np.pi * rng.random(theta.size),
-            np.sqrt(rng.random(theta.size)),
-            2.0 * np.pi * rng.random(theta.size),
-        )
-        origin = np.stack(
-            [self.entrance_mm * r * np.cos(turn), self.entrance_mm * r * np.sin(turn), np.full(theta.size, LIFT_MM)], 1
-        )
-        met = self.blocked(origin, _vector(theta, phi))
+        phi, r, azimuth = (rng.random(theta.size) for _ in range(3))
+        direction = _vector(theta, 2.0 * np.pi * phi)
+        met = self.blocked(self._entrance(self.entrance_mm * np.sqrt(r), 2.0 * np.pi * azimuth), direction)
         return np.asarray(met.reshape(KNOTS - 1, -1).mean(axis=1))
+
+    @staticmethod
+    def _entrance(radius_mm: FloatArray, azimuth: FloatArray) -> FloatArray:
+        """Points (n, 3) of the entrance."""
+        return np.stack(
+            [radius_mm * np.cos(azimuth), radius_mm * np.sin(azimuth), np.full(len(azimuth), LIFT_MM)], axis=1
+        )
 
     def light(
         self, v_source: ArrayLike, weight: LensWeight, *, error: float = 0.05, number: int = 0, least: float = 0.0
     ) -> BaffleLight:
-        """PST of a distant point source at a unit vector (3,) in cam, through a lens with its own (`lens_weight`).
+        """PST of a distant point source at a unit vector (3,) in cam, through a lens of PST ``weight`` (`lens_weight`).
 
-        Good enough at a relative standard error of the walls' part, or an absolute one (``least``). Another number of
-        the source takes other rays.
+        Ends at a relative standard error of the walls, or an absolute one (``least``); ``number`` seeds the rays.
         """
         source = np.asarray(v_source, dtype=np.float64)
         start, area = self._disk(DIRECT_RINGS, DIRECT_ARMS)
         direct = float((~self.blocked(start, source[None])) @ area) if source[2] > 0.0 else 0.0
         self._point_sun(source)
         means = []
-        for one in range(MOST_PASSES):
-            origin, direction, share = self._draw(weight, (number, one))
-            means.append(float((self._radiance(origin, direction, (number, one)) * share).mean()))
+        for pass_number in range(MOST_PASSES):
+            origin, direction, factor = self._draw(weight, (number, pass_number))
+            means.append(float((self._radiance(origin, direction, (number, pass_number)) * factor).mean()))
             if len(means) >= FEWEST_PASSES:
                 spread = float(np.std(means, ddof=1) / math.sqrt(len(means)))
                 if spread <= max(error * float(np.mean(means)), least):
@@ -232,16 +195,16 @@ class BaffleScene:
     def worst_paths(self, v_source: ArrayLike, weight: LensWeight, count: int = 40) -> WorstPaths:
         """The rays of a pass that carry most of the light."""
         self._point_sun(np.asarray(v_source, dtype=np.float64))
-        origin, direction, share = self._draw(weight, (0, MOST_PASSES))
-        light = self._radiance(origin, direction, (0, MOST_PASSES)) * share
+        origin, direction, factor = self._draw(weight, (0, MOST_PASSES))
+        light = self._radiance(origin, direction, (0, MOST_PASSES)) * factor
         best = np.argsort(-light)[:count]
         best = best[light[best] > 0.0]
         hit = self._scene.ray_intersect_preliminary(self._ray(origin[best], direction[best]))
-        far = np.array(hit.t, dtype=np.float64)[:, None] if len(best) else np.zeros((0, 1))
+        distance = np.array(hit.t, dtype=np.float64)[:, None] if len(best) else np.zeros((0, 1))
         return WorstPaths(
-            point_mm=origin[best] + far * direction[best],
+            point_mm=origin[best] + distance * direction[best],
             entrance_mm=origin[best],
-            share=light[best] / max(float(light.sum()), FLOOR),
+            fraction=light[best] / max(float(light.sum()), FLOOR),
         )
 
     def _point_sun(self, source: FloatArray) -> None:
@@ -258,18 +221,17 @@ class BaffleScene:
         edge = np.linspace(0.0, 0.5 * np.pi, KNOTS)
         middle = 0.5 * (edge[1:] + edge[:-1])
         solid = np.cos(edge[:-1]) - np.cos(edge[1:])
-        seen = solid * (self._seen + 1e-3)
-        wanted = weight(middle) * seen
-        share = 0.5 * wanted / wanted.sum() + 0.5 * seen / seen.sum()
-        cumulative = np.append(0.0, np.cumsum(share))
+        visible = solid * (self._filled + 1e-3)
+        weighted = weight(middle) * visible
+        probability = 0.5 * weighted / weighted.sum() + 0.5 * visible / visible.sum()
+        cumulative = np.append(0.0, np.cumsum(probability))
         cumulative[-1] = 1.0
         row = np.clip(np.searchsorted(cumulative, u[:, 0], side="right") - 1, 0, KNOTS - 2)
-        inside = (u[:, 0] - cumulative[row]) / share[row]
+        inside = (u[:, 0] - cumulative[row]) / probability[row]
         cosine = np.cos(edge[row]) - inside * solid[row]
         theta = np.arccos(np.clip(cosine, 0.0, 1.0))
-        density = share[row] / (2.0 * np.pi * solid[row])
-        r, turn = self.entrance_mm * np.sqrt(u[:, 2]), 2.0 * np.pi * u[:, 3]
-        origin = np.stack([r * np.cos(turn), r * np.sin(turn), np.full(len(r), LIFT_MM)], axis=1)
+        density = probability[row] / (2.0 * np.pi * solid[row])
+        origin = self._entrance(self.entrance_mm * np.sqrt(u[:, 2]), 2.0 * np.pi * u[:, 3])
         return origin, _vector(theta, 2.0 * np.pi * u[:, 1]), weight(theta) / density
 
     def _radiance(self, origin: FloatArray, direction: FloatArray, number: tuple[int, int]) -> FloatArray:
@@ -283,7 +245,7 @@ class BaffleScene:
         return np.where(np.array(valid, dtype=bool) & np.isfinite(light), light, 0.0)
 
     def _edges(self, source: FloatArray, weight: LensWeight) -> tuple[float, float]:
-        """Edges of all vanes; a mesh of the user's has its own."""
+        """PST of the edges of all vanes, and its error; a mesh of the user contains its edges."""
         baffle, reflectance = self.baffle, self.coating.diffuse + self.coating.specular
         if baffle is None or baffle.edge_mm == 0.0 or reflectance == 0.0:
             return 0.0, 0.0
@@ -304,16 +266,16 @@ class BaffleScene:
             towards = entrance[None] - point[:, None]
             distance = np.linalg.norm(towards, axis=-1)
             towards = towards / distance[..., None]
-            seen = ~self.blocked(
+            visible = ~self.blocked(
                 np.repeat(point, len(entrance), axis=0), towards.reshape(-1, 3), 0.999 * distance.ravel()
             ).reshape(distance.shape)
-            bright = cylinder_intensity(source, towards, along[:, None], baffle.edge_mm, reflectance)
+            intensity = cylinder_intensity(source, towards, along[:, None], baffle.edge_mm, reflectance)
             theta = np.arccos(np.clip(-towards[..., 2], 0.0, 1.0))
             step = 2.0 * np.pi * radius / EDGE_POINTS
-            part = (np.where(seen, bright, 0.0) / distance**2 * weight(theta)) @ area * step
+            part = (np.where(visible, intensity, 0.0) / distance**2 * weight(theta)) @ area * step
             total, square = total + float(part.sum()), square + float((part**2).sum())
         return total, math.sqrt(square)
 
 
 def _vector(theta: FloatArray, phi: FloatArray) -> FloatArray:
-    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=1)
+    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)

@@ -19,21 +19,15 @@ from numpy.typing import ArrayLike
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.records import freeze
+from optics.records import freeze, freeze_all
 from render.engine import Engine
+from render.engine.triangle_mesh import equal_area_scale, mitsuba_mesh, strip_faces
 
-FACES: dict[str, tuple[int, int]] = {
-    "+X": (0, 1),
-    "-X": (0, -1),
-    "+Y": (1, 1),
-    "-Y": (1, -1),
-    "+Z": (2, 1),
-    "-Z": (2, -1),
-}
+FACES: dict[str, tuple[int, int]] = {f"{sign}{'XYZ'[k]}": (k, int(f"{sign}1")) for k in range(3) for sign in "+-"}
 """Faces of the cube: name -> (axis, sign) of the outward normal."""
 
 HOLE_SIDES = 180
-COVER_GAP_MM = 5e-4  # what lies in front of the screen is seen displaced by gap tan(angle of the camera)
+COVER_GAP_MM = 5e-4  # the image of the cover is displaced by gap tan(angle of the camera)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,9 +103,7 @@ class CubePose:
     normal: FloatArray
 
     def __post_init__(self) -> None:
-        freeze(self, "rotation", shape=(3, 3))
-        freeze(self, "centre_mm", shape=(3,))
-        freeze(self, "normal", shape=(6, 3))
+        freeze_all(self, rotation=(3, 3), centre_mm=(3,), normal=(6, 3))
 
     @classmethod
     def of_table(
@@ -128,14 +120,13 @@ class CubePose:
     def face(self, name: str, geometry: BenchGeometry) -> tuple[FloatArray, FloatArray]:
         """Centre [mm] and outward normal of a face in the laboratory."""
         axis, sign = FACES[name]
-        outward = np.zeros(3)
-        outward[axis] = sign
+        outward = sign * np.eye(3)[axis]
         centre = self.centre_mm + self.rotation @ outward * geometry.cube_mm / 2
         return centre, self.rotation @ self.normal[list(FACES).index(name)]
 
 
 def frame_around(normal: FloatArray, along: FloatArray) -> FloatArray:
-    """Rotation matrix with columns (u, v, normal); u is ``along`` made square to the normal."""
+    """Rotation matrix with columns (u, v, normal); u is the direction of ``along`` normal to the last."""
     u = along - (along @ normal) * normal
     u = u / np.linalg.norm(u)
     return np.column_stack([u, np.cross(normal, u), normal])
@@ -160,33 +151,18 @@ def face_matrices(geometry: BenchGeometry, pose: CubePose) -> dict[str, FloatArr
     return matrices
 
 
-def plate_mesh(hole_mm: float, half_mm: float, *, sides: int = HOLE_SIDES, material: Any) -> Any:
+def plate_mesh(hole_mm: float, half_mm: float, *, material: dict[str, Any]) -> Any:
     """A square plate in the plane z = 0 with a round hole in its middle, both in mm."""
-    mi = Engine.active().mitsuba
+    sides = HOLE_SIDES
     angle = np.arange(sides) * 2 * np.pi / sides
     unit = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(sides)])
-    radius = hole_mm / 2 * np.sqrt(2 * np.pi / sides / np.sin(2 * np.pi / sides))
-    radii = [radius]
+    radii = [hole_mm / 2 * equal_area_scale(sides)]
     while radii[-1] * 2.5 < half_mm:
         radii.append(radii[-1] * 2.5)
     square = half_mm / np.abs(unit[:, :2]).max(1)
     rings = [*(r * unit for r in radii), square[:, None] * unit]
-    here = np.arange(sides)
-    beside = (here + 1) % sides
-    faces = [
-        np.concatenate([np.stack([k + here, k + beside, k + sides + here], 1),
-                        np.stack([k + beside, k + sides + beside, k + sides + here], 1)])
-        for k in sides * np.arange(len(rings) - 1)
-    ]  # fmt: skip
-    vertex, face = np.concatenate(rings), np.concatenate(faces)
-    properties = mi.Properties()
-    properties["plate_bsdf"] = mi.load_dict(material)
-    mesh = mi.Mesh("plate", len(vertex), len(face), props=properties)
-    parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = vertex.astype(np.float32).ravel()
-    parameters["faces"] = face.astype(np.uint32).ravel()
-    parameters.update()
-    return mesh
+    faces = [strip_faces(sides * ring, sides) for ring in range(len(rings) - 1)]
+    return mitsuba_mesh("plate", np.concatenate(rings), np.concatenate(faces), material)
 
 
 def screen_and_mirrors(geometry: BenchGeometry, pose: CubePose) -> dict[str, Any]:
@@ -209,7 +185,11 @@ def bench_scene(geometry: BenchGeometry, pose: CubePose, *, covered: bool) -> An
     if covered:
         sheet = rectangle_at(np.array([0, 0, -COVER_GAP_MM]), np.diag([1.0, -1.0, -1.0]), 5.0, 5.0)
         sheet[:3, :2] *= geometry.aperture_mm / 5.0
-        content["cover"] = {"type": "disk", "to_world": mi.ScalarTransform4f(sheet), "bsdf": _sheet(geometry)}
+        paper = {  # scatters light diffusely to both sides
+            "type": "principledthin", "base_color": geometry.screen_reflectance, "diff_trans": 1.0, "roughness": 1.0,
+            "eta": 1.0001,
+        }  # fmt: skip
+        content["cover"] = {"type": "disk", "to_world": mi.ScalarTransform4f(sheet), "bsdf": paper}
     return mi.load_dict(content, optimize=False)  # merging turns the rectangles into a mesh of float32 vertices
 
 
@@ -220,14 +200,3 @@ def place_cube(scene: Any, geometry: BenchGeometry, pose: CubePose) -> None:
     for name, matrix in face_matrices(geometry, pose).items():
         parameters[f"face{name}.to_world"] = mi.Transform4f(matrix)
     parameters.update()
-
-
-def _sheet(geometry: BenchGeometry) -> dict[str, Any]:
-    """Tracing paper: scatters what falls on it diffusely to both sides."""
-    return {
-        "type": "principledthin",
-        "base_color": geometry.screen_reflectance,
-        "diff_trans": 1.0,
-        "roughness": 1.0,
-        "eta": 1.0001,
-    }

@@ -11,7 +11,6 @@ Images are radiances per unit irradiance of the beam. A matt screen of reflectan
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -19,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from optics.arrays import FloatArray
 from optics.errors import DomainError
 from render.bench.camera import BenchCamera
 from render.bench.scene import BenchGeometry
@@ -33,36 +31,25 @@ STEP_MM = 0.05
 LOG2_LIMITS = (8, 24)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Landing:
-    """Landing points of the particles of a beam."""
-
-    screen_mm: FloatArray  # (n, 2) Points of the screen where reflected particles land
-    passed: float  # Part of the started particles that passes the aperture
-    reflected: float  # Part of these that meets a polished face
-    returned: float  # Part of the reflected ones that meets the screen (the aperture lets some through)
-
-
 @lru_cache(maxsize=4)
-def _net(log2_points: int) -> NDArray[np.uint32]:
+def sobol_net(log2_points: int) -> NDArray[np.uint32]:
     """Scrambled Sobol points (4, n) as 32-bit fractions (SciPy's direction numbers and matrix scrambling)."""
     points = qmc.Sobol(4, scramble=True, rng=np.random.default_rng(log2_points)).random_base2(log2_points)
     return np.ascontiguousarray((points * 2.0**32).astype(np.uint32).T)
 
 
 def phase_points(*, log2_points: int, seed: int, index: Any) -> tuple[Any, Any, Any, Any]:
-    """Two points of the unit disk: x, y of a place and x, y of a slope.
+    """Two points of the unit disk: x, y of a start point and x, y of a slope.
 
     A Sobol net in four dimensions under a random digital shift: the net stays a net, and every seed is another one.
     """
     types = Engine.active().mitsuba
     shift = np.random.SeedSequence([seed, 0xBE4C]).generate_state(4).tolist()
     words = [
-        dr.gather(types.UInt32, types.UInt32(row), index) ^ dr.opaque(types.UInt32, one)
-        for row, one in zip(_net(log2_points), shift, strict=True)
+        dr.gather(types.UInt32, types.UInt32(row), index) ^ dr.opaque(types.UInt32, word)
+        for row, word in zip(sobol_net(log2_points), shift, strict=True)
     ]
-    place, slope = words[:2], words[2:]
-    return (*_disk_point(types, *place), *_disk_point(types, *slope))
+    return (*_disk_point(types, *words[:2]), *_disk_point(types, *words[2:]))
 
 
 def _disk_point(types: Any, u: Any, v: Any) -> tuple[Any, Any]:
@@ -72,24 +59,12 @@ def _disk_point(types: Any, u: Any, v: Any) -> tuple[Any, Any]:
     return types.Float(radius * cosine), types.Float(radius * sine)
 
 
-def start_rays(
-    *, log2_particles: int, seed: int, index: Any, hole_mm: float, start_mm: float, half_angle_rad: float
-) -> tuple[Any, Any]:
-    """Rays through a hole: points of a disk in its plane, slopes of a disk about the axis, both uniform."""
-    mi = Engine.active().mitsuba
-    x, y, slope_x, slope_y = phase_points(log2_points=log2_particles, seed=seed, index=index)
-    radius, spread = dr.opaque(mi.Float, hole_mm / 2), dr.opaque(mi.Float, float(np.tan(half_angle_rad)))
-    away = dr.opaque(mi.Float, start_mm)
-    direction = mi.Vector3f(slope_x * spread, slope_y * spread, -1.0)
-    origin = mi.Point3f(x * radius, y * radius, 0.0) - direction * away
-    return origin, dr.normalize(direction)
+def beam_rays(geometry: BenchGeometry, log2_particles: int, seed: int, *, inner_mm: float = 0.0) -> Any:
+    """Rays from the simulator that fall on the aperture and a narrow ring around it: points of a disk in its plane,
+    slopes of a disk about the axis, both uniform.
 
-
-def _beam(geometry: BenchGeometry, log2_particles: int, seed: int, *, inner_mm: float = 0.0) -> Any:
-    """Rays from the simulator that fall on the aperture and a narrow ring around it.
-
-    With ``inner_mm``, those are left out that a mirror square to the beam would send to within that distance of
-    the aperture's centre: what a nearly square face returns into the aperture is not seen by anybody.
+    Without the rays that a mirror square to the beam would send to within ``inner_mm`` of the centre of the aperture:
+    light that a nearly square face returns into the aperture is invisible.
     """
     mi = Engine.active().mitsuba
     low, high = LOG2_LIMITS
@@ -97,27 +72,25 @@ def _beam(geometry: BenchGeometry, log2_particles: int, seed: int, *, inner_mm: 
         raise DomainError(f"log2_particles = {log2_particles}; it must be {low} to {high}")
 
     def rays(index: Any, start_mm: float) -> tuple[Any, Any]:
-        return start_rays(
-            log2_particles=log2_particles,
-            seed=seed,
-            index=index,
-            hole_mm=OVERSCAN * geometry.aperture_mm,
-            start_mm=start_mm,
-            half_angle_rad=geometry.half_angle_rad,
-        )
+        x, y, slope_x, slope_y = phase_points(log2_points=log2_particles, seed=seed, index=index)
+        radius = dr.opaque(mi.Float, OVERSCAN * geometry.aperture_mm / 2)
+        spread = dr.opaque(mi.Float, float(np.tan(geometry.half_angle_rad)))
+        direction = mi.Vector3f(slope_x * spread, slope_y * spread, -1.0)
+        origin = mi.Point3f(x * radius, y * radius, 0.0) - direction * dr.opaque(mi.Float, start_mm)
+        return origin, dr.normalize(direction)
 
     index = dr.arange(mi.UInt32, 1 << log2_particles)
     if inner_mm > 0:
-        place, direction = rays(index, 0.0)
+        point, direction = rays(index, 0.0)
         path = dr.opaque(mi.Float, geometry.path_mm) / dr.abs(direction.z)
-        x, y = place.x + path * direction.x, place.y + path * direction.y
+        x, y = point.x + path * direction.x, point.y + path * direction.y
         index = dr.compress(x * x + y * y > dr.opaque(mi.Float, inner_mm**2))
     origin, direction = rays(index, geometry.simulator_gap_mm)
     return mi.Ray3f(origin, direction)
 
 
 def to_fixed(light: Any) -> Any:
-    """Light as whole multiples of 2^-40: sums of integers do not depend on the order in which threads add."""
+    """Light as integer multiples of 2^-40: sums of integers do not depend on the order in which threads add."""
     types = Engine.active().mitsuba
     return types.UInt64(types.Float64(light) * FIXED)
 
@@ -138,26 +111,6 @@ def continued(hit: Any, sample: Any) -> Any:
     return mi.Ray3f(hit.p + direction * STEP_MM, direction)
 
 
-def land(scene: Any, geometry: BenchGeometry, *, log2_particles: int, seed: int) -> Landing:
-    """Follow a beam to the face and back to the screen, without a camera."""
-    mi = Engine.active().mitsuba
-    ray = _beam(geometry, log2_particles, seed)
-    first = scene.ray_intersect(ray)
-    passed = ~(first.is_valid() & (dr.abs(first.p.z) < 1.0))
-    sample, weight = first.bsdf().sample(mi.BSDFContext(), first, 0.5, mi.Point2f(0.5), passed & first.is_valid())
-    alive = passed & first.is_valid() & (weight[0] > 0)
-    second = scene.ray_intersect(continued(first, sample), alive)
-    arrived = alive & second.is_valid() & (dr.abs(second.p.z) < 1.0)
-    points, keep = np.array(second.p).reshape(3, -1).T, np.array(arrived)
-    counts = [int(np.array(dr.count(one)).item()) for one in (passed, alive)]
-    return Landing(
-        screen_mm=points[keep, :2].astype(np.float64),
-        passed=counts[0] / keep.size,
-        reflected=counts[1] / max(counts[0], 1),
-        returned=int(keep.sum()) / max(counts[1], 1),
-    )
-
-
 def trace_screen(
     scene: Any,
     sensor: Any,
@@ -172,10 +125,10 @@ def trace_screen(
     """Image (height, width) that the camera takes of the screen: radiance per unit irradiance of the beam [1/sr].
 
     Particles that a mirror square to the beam would send to within ``inner_mm`` of the middle of the aperture are not
-    started. With the aperture's radius less the spot's displacement nothing that can be seen is lost.
+    started. With the radius of the aperture less the displacement of the spot nothing visible is lost.
     """
     mi = Engine.active().mitsuba
-    ray = _beam(geometry, log2_particles, seed, inner_mm=inner_mm)
+    ray = beam_rays(geometry, log2_particles, seed, inner_mm=inner_mm)
     area = np.pi * (OVERSCAN * geometry.aperture_mm / 2) ** 2
     pixels = camera.width_px * camera.height_px
     image = dr.zeros(mi.UInt64, pixels)
@@ -205,13 +158,13 @@ def _connect(
     active: Any,
     image: Any,
 ) -> None:
-    """Add what the camera sees of the light at ``hit`` to the image; unlike others, this function writes into it."""
+    """Add the light scattered at ``hit`` into the camera to the image, in place."""
     mi = Engine.active().mitsuba
     toward, importance = sensor.sample_direction(hit, mi.Point2f(0.5), active)
     scattered = bsdf.eval(mi.BSDFContext(), hit, hit.to_local(toward.d), active)[0]
-    seen = active & (importance[0] > 0) & (scattered > 0)
-    seen &= ~scene.ray_test(hit.spawn_ray_to(toward.p), seen)
+    visible = active & (importance[0] > 0) & (scattered > 0)
+    visible &= ~scene.ray_test(hit.spawn_ray_to(toward.p), visible)
     column, row = mi.UInt32(toward.uv.x), mi.UInt32(toward.uv.y)
-    seen &= (column < camera.width_px) & (row < camera.height_px)
-    light = dr.select(seen, throughput * scattered * importance[0], 0.0)
-    dr.scatter_reduce(dr.ReduceOp.Add, image, to_fixed(light), row * camera.width_px + column, seen)
+    visible &= (column < camera.width_px) & (row < camera.height_px)
+    light = dr.select(visible, throughput * scattered * importance[0], 0.0)
+    dr.scatter_reduce(dr.ReduceOp.Add, image, to_fixed(light), row * camera.width_px + column, visible)

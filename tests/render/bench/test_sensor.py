@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-from refusals import refuses
 
-from optics.errors import DomainError
 from render.bench.sensor import MaskSensor, mask_scene, trace_mask
 
 SIZE = 48
@@ -44,10 +42,3 @@ def test_light_through_the_hole(engine):
     area_px = np.pi * 0.1**2 / 0.007**2
     assert light.sum((1, 2)) == pytest.approx(area_px * v[:, 2], rel=1e-3)
     assert light[:, 20:28, 20:28].mean((1, 2)) == pytest.approx(v[:, 2], rel=0.02)
-
-
-def test_what_cannot_be_is_refused(engine):
-    of, options = sensor(), {"half_angle_rad": 1e-3, "log2_particles": 8, "seed": 1}
-    beside = [[1.0, 0.0, 0.0]]
-    refuses(DomainError, "not in front of the mask", trace_mask, mask_scene(of), of, beside, [[0, 0]], SIZE, **options)
-    refuses(DomainError, "gap_mm = 0 mm", sensor, gap_mm=0.0)
