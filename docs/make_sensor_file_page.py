@@ -20,7 +20,7 @@ from experiments.harness.registry import found
 from experiments.harness.settings_text import about, toml_value
 from experiments.laboratory.settings.collimator import FilteredCollimatorConfig
 from experiments.laboratory.settings.sensor_file import SensorConfig
-from render.detector.spec import UNSAID, DarkTable, DetectorFile, ResponseTable, list_detectors, load_detector
+from render.detector.spec import UNSTATED, DarkTable, DetectorFile, ResponseTable, list_detectors, load_detector
 from render.sensor_file.tables import IdealLensConfig
 
 PAGE = Path(__file__).with_name("sensor_file.md")
@@ -275,7 +275,7 @@ def built_in() -> Iterator[str]:
     yield "|---|---|---|---|---|---|---|---|"
     for name in list_detectors():
         chip = load_detector(name)
-        unsaid = len({*chip.assumed, *chip.from_default} - UNSAID)
+        unsaid = len({*chip.assumed, *chip.from_default} - UNSTATED)
         yield (
             f"| `{name}` | {chip.width_px} x {chip.height_px} | {1e3 * chip.pixel_pitch_mm:g} um "
             f"| {chip.full_well_e:g} e- | {chip.read_noise_e:g} e- "

@@ -156,7 +156,7 @@ class Truth:
         ):
             if getattr(self, name) is None:
                 object.__setattr__(self, name, np.full(np.shape(self.electrons_in), missing))
-        for name in self.__dataclass_fields__:  # NaN is told by `missing`
+        for name in self.__dataclass_fields__:  # `missing` gives the reason of a NaN
             freeze(self, name, shape=("n", "b"), sizes=sizes, finite=name.startswith("electrons"))
 
     def select(self, rows: slice | IntArray) -> Truth:

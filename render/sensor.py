@@ -33,7 +33,7 @@ from render.records import PixelMap
 _ROUNDING = 1e-12
 _MAP_GRID, _MAP_NODES, _MAP_ORDER = 15, 8, (5, 12)
 """Places along each side of the map of a camera, wavelengths, rings and azimuths of the pupil."""
-_THROUGH_ORDER = (3, 8)
+_LOSS_ORDER = (3, 8)
 """Rings and azimuths of the rays that tell how transmission varies."""
 _MAP_REACH = 0.985
 """Share of the detector's half-width that the map spans: the rays of its outermost stars stay on the detector."""
@@ -248,7 +248,7 @@ class StarSensor:
         wave = nodes.wavelength_nm[0]
         spectrum = Blackbody(temperature_k=temperature_k).photon_density(wave) * camera.response_at(wave)
         spots = spot_moments(camera.focused_lens, *field_angles_deg(direction), wave, order=_MAP_ORDER)
-        transmission, shift_mm = _through(camera, direction, wave)
+        transmission, shift_mm = _path_losses(camera, direction, wave)
         light = nodes.weight_nm[0] * nodes.transmission[0] * spectrum * spots.transmitted_mm2 * transmission
         lit = light.sum(1) > 0.0
         if np.count_nonzero(lit) < _MAP_GRID**2 // 2:
@@ -284,13 +284,13 @@ class StarSensor:
             )
 
 
-def _through(camera: Camera, direction: FloatArray, wave: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _path_losses(camera: Camera, direction: FloatArray, wave: FloatArray) -> tuple[FloatArray, FloatArray]:
     """What the transmission of rays along their own paths does to bundles that weigh them equally.
 
     The share (f, w) of the light over that of the axis, and by how much (2, f, w) means move [mm].
     """
     lens, losses = camera.focused_lens, camera.losses
-    points = gauss_disk(*_THROUGH_ORDER)
+    points = gauss_disk(*_LOSS_ORDER)
     transmission, shift_mm = np.ones((len(direction), len(wave))), np.zeros((2, len(direction), len(wave)))
     if losses is not None:
         disks, path = (

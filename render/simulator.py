@@ -221,7 +221,7 @@ class SkySimulator:
         self._renderers: dict[bytes, StarRenderer] = {}
         self._ghosts, self._detector_reflectance = ghosts, detector_reflectance
         self._hits: dict[tuple[int, str | None, Streams], CosmicRayHits] = {}
-        self._still_disks: tuple[bytes, tuple[BodyDisk, ...]] = b"", ()  # of an attitude that may come again
+        self._disks_at_rest: tuple[bytes, tuple[BodyDisk, ...]] = b"", ()  # of an attitude that may come again
 
     @property
     def sky(self) -> Sky:
@@ -333,7 +333,7 @@ class SkySimulator:
         if self._ghost_sources is not None:
             layers["ghosts"], ghosts, sources_outside = self._ghost_light(stars, traced.truth, count, field, middle)
         layers |= self._diffuse_light(middle)
-        disks = self._seen_disks(middle, path, begin)
+        disks = self._visible_disks(middle, path, begin)
         if self.disks is not None:
             layers["bodies"] = np.zeros(self.sensor.detector.shape, np.float32)
             for disk in disks:
@@ -466,7 +466,7 @@ class SkySimulator:
 
     def stray_e_per_s(self, attitude: Rotation) -> dict[str, float]:
         """Stray light of each body in an attitude [e- s^-1 per pixel]; empty without a table."""
-        return {} if self._stray is None else self._stray.even(attitude)
+        return {} if self._stray is None else self._stray.uniform(attitude)
 
     def dark_electrons(self) -> NDArray[np.float32]:
         """Electrons (h, w) that the detector adds to the light: dark current of every pixel, and background."""
@@ -567,7 +567,7 @@ class SkySimulator:
             if state is not None and key:
                 if self.housing is None:
                     raise ConfigError("lens_state: SkySimulator(..., housing=Housing(expansion_per_k=...)) is needed")
-                camera = _relensed(self.sensor, heated_lens(camera.lens, state, self.housing))
+                camera = _with_lens(self.sensor, heated_lens(camera.lens, state, self.housing))
             self._renderers[key] = StarRenderer(camera, **self._rendering)
         return self._renderers[key]
 
@@ -611,13 +611,13 @@ class SkySimulator:
             light["stray"] = np.full(self.sensor.detector.shape, sum(stray.values()) * seconds, np.float32)
         return light
 
-    def _seen_disks(self, attitude: Rotation, path: Trajectory | None, begin_s: float) -> tuple[BodyDisk, ...]:
+    def _visible_disks(self, attitude: Rotation, path: Trajectory | None, begin_s: float) -> tuple[BodyDisk, ...]:
         """Bodies larger than a pixel, with their light, the nearest first."""
         if self.disks is None or not len(self.disks):
             return ()
         key = attitude.as_quat().tobytes() if path is None else b""
-        if key and self._still_disks[0] == key:
-            return self._still_disks[1]
+        if key and self._disks_at_rest[0] == key:
+            return self._disks_at_rest[1]
         rate = np.zeros(3) if path is None else path.rate(begin_s + 0.5 * self._duration_s)
         images = self._body_renderer.render_system(
             self.disks,
@@ -634,7 +634,7 @@ class SkySimulator:
             BodyDisk(name=self.disks.name[row], row=row, image=image if part == 1.0 else image.dimmed(part))
             for row, image in images
         )
-        self._still_disks = key, disks
+        self._disks_at_rest = key, disks
         return disks
 
 
@@ -646,7 +646,7 @@ def _wing_px(camera: Camera) -> float:
     return WING_LAMBDA_N * camera.lens.design_wavelength_nm * 1e-6 * f_number / camera.pixel_pitch_mm
 
 
-def _relensed(sensor: StarSensor, lens: Any) -> Camera:
+def _with_lens(sensor: StarSensor, lens: Any) -> Camera:
     """The camera of a sensor with another lens on the same axis, and its transmission."""
     camera, losses = sensor.camera, sensor.camera.losses
     if losses is None:

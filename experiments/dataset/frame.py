@@ -76,7 +76,7 @@ class FrameMaker:
         if self._lags:
             self._last = frame, light
         hits = simulator.hits(frame)
-        cosmic_rays = None if hits is None else hits.struck
+        cosmic_rays = None if hits is None else hits.hit_mask
         read = simulator.read(light, frame=frame, before=before)
         sources = _point_sources(scene, light)
         sky_e = simulator.background_e_per_s * light.exposure_s + sum(

@@ -16,7 +16,7 @@ from experiments.harness.experiment import Experiment
 from experiments.laboratory.bench.centroid_methods import CentroiderName
 from experiments.laboratory.settings.sensor_file import SensorConfig, SensorExperimentConfig
 from optics.settings import StrictModel
-from render.sensor_file.file import in_best_focus, whole_sensor
+from render.sensor_file.file import complete_sensor, in_best_focus
 from render.sensor_file.lens_defaults import lens_remarks
 from render.sensor_file.tables import InstrumentConfig, PassbandConfig
 
@@ -181,7 +181,7 @@ class Config(SensorExperimentConfig):
     @classmethod
     def of_sensor(cls, file: Path) -> dict[str, Any]:
         """Settings that a sensor file decides: the camera ``own``, which then is the one that runs."""
-        given = whole_sensor(file, SensorConfig)
+        given = complete_sensor(file, SensorConfig)
         own = {"instrument": given["instrument"], "faintest_mag": given["catalogue"]["faintest_mag"]}
         shared = {key: value for key, value in given.items() if key in cls.model_fields}
         return {**shared, "which": "own", "own": own}

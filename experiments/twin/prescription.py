@@ -56,9 +56,9 @@ class LensPose:
 
 def fit_lens_pose(file: Path, fit: CameraFit, limit_mag: float) -> LensPose:
     """Focus, tilt and decentre of the detector behind the lens of a sensor file, from a camera measured in frames."""
-    from render.sensor_file.file import SensorFile, whole_sensor
+    from render.sensor_file.file import SensorFile, complete_sensor
 
-    config = SensorFile.model_validate(whole_sensor(file))
+    config = SensorFile.model_validate(complete_sensor(file))
     width, height = fit.psf.size_px
     stated = build_instrument(config.instrument.model_copy(update={"width_px": width, "height_px": height}))
     stars = fit.gaussian
@@ -126,9 +126,9 @@ def pose_of_widths(stated: Instrument, position_px: FloatArray, width_px: FloatA
 
 def write_prescription(file: Path, pose: LensPose, folder: Path) -> tuple[Path, ...]:
     """``glass.toml`` and ``glass_sensor.toml``: the lens of a sensor file with its detector where the frames put it."""
-    from render.sensor_file.file import SensorFile, whole_sensor
+    from render.sensor_file.file import SensorFile, complete_sensor
 
-    given = whole_sensor(file)
+    given = complete_sensor(file)
     config = SensorFile.model_validate(given)
     tables: dict[str, Any] = dict(read_lens_file(str(config.instrument.lens)).tables)
     image = dict(tables.get("image", {}))

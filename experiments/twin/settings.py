@@ -97,10 +97,10 @@ class Config(ExperimentConfig):
         """Settings of a sensor file known before frames are read: pitch, exposure time, whether its lens can be
         traced."""
         from render.detector.spec import load_detector
-        from render.sensor_file.file import SensorFile, whole_sensor
+        from render.sensor_file.file import SensorFile, complete_sensor
         from render.sensor_file.instrument import stated_lens
 
-        instrument = SensorFile.model_validate(whole_sensor(file)).instrument
+        instrument = SensorFile.model_validate(complete_sensor(file)).instrument
         pitch_um = load_detector(instrument.detector).pixel_pitch_mm * 1e3
         traced = {"prescription": str(file.resolve())} if stated_lens(instrument).surfaces else {}
         return {"camera": {"pixel_pitch_um": pitch_um, "exposure_s": instrument.exposure_s}, **traced}

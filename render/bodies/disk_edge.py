@@ -26,7 +26,7 @@ class Edge:
 
     @classmethod
     def of(cls, c: list[Any], sine: Any, v: list[Any], moves: list[list[Any]]) -> Edge:
-        along, off2 = apart(c, v)
+        along, off2 = cosine_and_sine2(c, v)
         off = dr.sqrt(off2)
         # at the very centre any direction serves
         centre = off2 < 1e-6 * sum(m * m for m in moves[0])
@@ -66,7 +66,7 @@ class Edge:
         return dr.select(self.ahead, cut, 0.0)
 
 
-def apart(c: list[Any], v: list[Any]) -> tuple[Any, Any]:
+def cosine_and_sine2(c: list[Any], v: list[Any]) -> tuple[Any, Any]:
     """Cosine of the angle between unit vectors, and the square of its sine without loss of digits."""
     cross = (c[1] * v[2] - c[2] * v[1], c[2] * v[0] - c[0] * v[2], c[0] * v[1] - c[1] * v[0])
     cosine = c[0] * v[0] + c[1] * v[1] + c[2] * v[2]

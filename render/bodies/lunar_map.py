@@ -65,28 +65,28 @@ def lunar_map() -> NDArray[np.float32]:
     """Normal albedo (latitudes from south to north, longitudes from -180 deg on) at the centres of cells of 0.5 deg."""
     latitude = np.radians(np.arange(-90.0 + CELL_DEG / 2, 90.0, CELL_DEG))[:, None]
     longitude = np.radians(np.arange(-180.0 + CELL_DEG / 2, 180.0, CELL_DEG))
-    v = _place(longitude, latitude)
+    v = _unit_vector(longitude, latitude)
     rng = np.random.default_rng(11)
     edge = sum(size * _noise(v, rng, frequency) for size, frequency in ((0.18, 7.0), (0.14, 17.0), (0.09, 45.0)))
     depth = np.full(v.shape[:-1], -np.inf)
     for lon, lat, radius in MARIA + FAR_SIDE:
-        depth = np.maximum(depth, 1.0 - _away_km(v, lon, lat) / radius)
+        depth = np.maximum(depth, 1.0 - _distance_km(v, lon, lat) / radius)
     mare = 1.0 / (1.0 + np.exp(-(depth + edge) / 0.05))
     albedo = HIGHLAND + (MARE - HIGHLAND) * mare
     albedo *= 1.0 + 0.07 * _noise(v, rng, 12.0) + 0.05 * _noise(v, rng, 45.0)
     for ray_lon, ray_lat, diameter, reach in RAYED:
-        away = _away_km(v, ray_lon, ray_lat)
+        away = _distance_km(v, ray_lon, ray_lat)
         albedo *= 1.0 + 0.7 * np.exp(-((away / diameter) ** 2)) + 0.25 * np.exp(-away / (0.5 * reach))
     return locked(albedo.astype(np.float32))
 
 
-def _place(longitude_rad: FloatArray, latitude_rad: FloatArray) -> FloatArray:
+def _unit_vector(longitude_rad: FloatArray, latitude_rad: FloatArray) -> FloatArray:
     a, b = np.broadcast_arrays(longitude_rad, latitude_rad)
     return np.stack([np.cos(b) * np.cos(a), np.cos(b) * np.sin(a), np.sin(b)], axis=-1)
 
 
-def _away_km(v: FloatArray, longitude_deg: float, latitude_deg: float) -> FloatArray:
-    to = _place(np.radians(longitude_deg), np.radians(latitude_deg))
+def _distance_km(v: FloatArray, longitude_deg: float, latitude_deg: float) -> FloatArray:
+    to = _unit_vector(np.radians(longitude_deg), np.radians(latitude_deg))
     return np.asarray(np.arccos(np.clip(v @ to, -1.0, 1.0)) * MOON_KM)
 
 

@@ -119,9 +119,9 @@ def solar_system(epoch_year: float, *, observer: Observer | None = None, bodies:
     if not 1900.0 <= epoch_year <= 2100.0:
         raise DomainError(f"epoch_year = {epoch_year:g}; positions of the planets are available for 1900 ... 2100")
     viewer = earth_observer(epoch_year) if observer is None else observer
-    position_au = np.array([_seen_from(name, epoch_year, viewer.position_au) for name in bodies]).reshape(-1, 3)
+    position_au = np.array([_apparent_position(name, epoch_year, viewer.position_au) for name in bodies]).reshape(-1, 3)
     to_body = position_au - viewer.position_au
-    to_sun = _place("sun", epoch_year, 0.0) - position_au
+    to_sun = _position("sun", epoch_year, 0.0) - position_au
     radius = np.array([RADIUS_KM[name] for name in bodies])
     distance_km = np.linalg.norm(to_body, axis=1) * constants.au / 1e3
     if (distance_km <= radius).any():
@@ -140,14 +140,14 @@ def solar_system(epoch_year: float, *, observer: Observer | None = None, bodies:
         direction=aberrated(unit, viewer.velocity_km_per_s),
         to_sun_au=to_sun,
         to_observer_au=-to_body,
-        to_earth_au=_place("earth", epoch_year, 0.0) - position_au,
+        to_earth_au=_position("earth", epoch_year, 0.0) - position_au,
         radius_km=radius,
         magnitude_v=np.array(magnitude),
         epoch_year=epoch_year,
     )
 
 
-def _place(name: str, epoch_year: float, days_before: float) -> FloatArray:
+def _position(name: str, epoch_year: float, days_before: float) -> FloatArray:
     """Place from the barycentre [au], along icrs."""
     from astropy import units
     from astropy.coordinates import get_body_barycentric
@@ -157,13 +157,13 @@ def _place(name: str, epoch_year: float, days_before: float) -> FloatArray:
     return np.asarray(get_body_barycentric(name, time, ephemeris="builtin").xyz.to_value(units.au))
 
 
-def _seen_from(name: str, epoch_year: float, observer_au: FloatArray) -> FloatArray:
+def _apparent_position(name: str, epoch_year: float, observer_au: FloatArray) -> FloatArray:
     """Place of a body when the light left that arrives now."""
     days = 0.0
     for _ in range(_LIGHT_STEPS):
-        position_au = _place(name, epoch_year, days)
+        position_au = _position(name, epoch_year, days)
         days = float(np.linalg.norm(position_au - observer_au)) * _LIGHT_DAYS_PER_AU
-    return _place(name, epoch_year, days)
+    return _position(name, epoch_year, days)
 
 
 def hiding_spheres(system: SolarSystem) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
 from optics.arrays import FloatArray
-from render.bodies.disk_edge import Edge, apart
+from render.bodies.disk_edge import Edge, cosine_and_sine2
 from render.bodies.earth_air import Air
 from render.bodies.ray_maps import RayMaps, TileMap, powers
 from render.engine import Engine
@@ -391,7 +391,7 @@ class _Kernel:
         scale, slant, ground = (self.number(v) for v in (air.height, air.slant, 0.5 * air.ground))
 
         def halo(v: list[Any], thickness: Any, albedo_inverse: Any) -> Any:
-            along, off2 = apart(c, v)
+            along, off2 = cosine_and_sine2(c, v)
             off = dr.sqrt(off2)
             above = dr.maximum(off / sine - 1.0, 0.0)
             slant_depth = thickness * dr.exp(-above / scale)

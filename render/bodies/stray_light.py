@@ -113,7 +113,7 @@ class StrayLight:
                 "stray light needs an observer, from which the Sun's direction follows: load_sky(observer='earth')"
             )
         self.pst = table if isinstance(table, PointSourceTransmittance) else read_pst(table)
-        self._drawn = self.pst.only("ghosts") if ghosts and "ghosts" in self.pst.causes else None
+        self._drawn_ghosts = self.pst.only("ghosts") if ghosts and "ghosts" in self.pst.causes else None
         distance_au, self._earth = float(np.linalg.norm(observer.from_sun_au)), earth
         self._sun, self._to_sun = light.sun_e_per_s / distance_au**2, -observer.from_sun_au / distance_au
         self._bodies = solar_system(epoch_year, observer=observer, bodies=("moon", "earth") if earth else ("moon",))
@@ -122,18 +122,18 @@ class StrayLight:
     @property
     def draws_ghosts(self) -> bool:
         """Whether ghosts are drawn separately."""
-        return self._drawn is not None
+        return self._drawn_ghosts is not None
 
-    def _of(self, pst: PointSourceTransmittance, attitude: Rotation) -> dict[str, float]:
+    def _point_sources(self, pst: PointSourceTransmittance, attitude: Rotation) -> dict[str, float]:
         towards = attitude.apply(np.array(self._bodies.direction))
         light = {"sun": float(self._sun * pst.at(attitude.apply(self._to_sun)))}
         if math.isfinite(self._moon):
             light["moon"] = float(self._moon * pst.at(towards[0]))
         return light
 
-    def whole(self, attitude: Rotation) -> dict[str, float]:
+    def total(self, attitude: Rotation) -> dict[str, float]:
         """All of it, by its source."""
-        light = self._of(self.pst, attitude)
+        light = self._point_sources(self.pst, attitude)
         if self._earth:
             distance_km = float(np.linalg.norm(self._bodies.to_observer_au[1])) * constants.au * 1e-3
             angular_radius, direction = math.asin(min(1.0, RADIUS_KM["earth"] / distance_km)), self._bodies.direction[1]
@@ -142,9 +142,9 @@ class StrayLight:
 
     def ghosts(self, attitude: Rotation) -> dict[str, float]:
         """Stray light by separately drawn ghosts; empty without them."""
-        return {} if self._drawn is None else self._of(self._drawn, attitude)
+        return {} if self._drawn_ghosts is None else self._point_sources(self._drawn_ghosts, attitude)
 
-    def even(self, attitude: Rotation) -> dict[str, float]:
+    def uniform(self, attitude: Rotation) -> dict[str, float]:
         """Uniform part of the stray light."""
         drawn = self.ghosts(attitude)
-        return {name: max(light - drawn.get(name, 0.0), 0.0) for name, light in self.whole(attitude).items()}
+        return {name: max(light - drawn.get(name, 0.0), 0.0) for name, light in self.total(attitude).items()}

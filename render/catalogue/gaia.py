@@ -43,7 +43,7 @@ EPOCH_YEAR = 2016.0
 HIPPARCOS_EPOCH_YEAR = 1991.25
 _HEADER = np.dtype([("magic", "S4"), ("version", "<u4"), ("count", "<u8")])
 _STAR = np.dtype([("id", "<i8"), ("ra", "<f8"), ("dec", "<f8"), ("g", "<f4"), ("fifth", "<f4"), ("sixth", "<f4")])
-_FEWEST = 50  # stars from which the meaning of the two last columns can be told
+_FEWEST = 50  # stars that decide what the two last columns hold
 _SAME_STAR_RAD = 5.0 * ARCSEC_RAD
 
 
@@ -76,7 +76,7 @@ def load_gaia(path: str | Path | None = None, *, fill_bright: bool = True, motio
     stars = _read(file)
     _check_values(stars, file)
     gaia = stars["id"] > 0
-    kind = _meaning(stars[gaia], file)
+    kind = _columns_5_and_6(stars[gaia], file)
     pair = np.stack([stars["fifth"], stars["sixth"]], axis=1).astype(np.float64)
     unknown = pair == 0.0 if kind == "magnitudes" else (pair == 0.0).all(axis=1, keepdims=True)
     pair = np.where(unknown, np.nan, pair)
@@ -151,8 +151,8 @@ def _check_values(stars: NDArray[Any], file: Path) -> None:
             )
 
 
-def _meaning(stars: NDArray[Any], file: Path) -> Literal["magnitudes", "motions"]:
-    """Whether the last two columns hold BP and RP or proper motions [mas/year], told by their values.
+def _columns_5_and_6(stars: NDArray[Any], file: Path) -> Literal["magnitudes", "motions"]:
+    """Whether the last two columns hold BP and RP or proper motions [mas/year], by their values.
 
     A star's G lies between its BP and RP (95.7 % of the published file; saturated and blended stars make the rest).
     Proper motions are about as often negative as positive, and range over hundreds of mas/year.

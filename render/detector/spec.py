@@ -32,7 +32,7 @@ LEAST_PEAK = 0.01
 """No detector has less: fractions in a column of percents."""
 OFFSET_SIGMA = 10.0
 """Offset where a file gives none, in the read noise: no pixel is cut off at zero."""
-UNSAID = frozenset({"base", "assumed", "chips", "gap_px", "sensor_seed", "dark_current"})
+UNSTATED = frozenset({"base", "assumed", "chips", "gap_px", "sensor_seed", "dark_current"})
 """Keys whose default is no statement about the chip; radiation damage is none either."""
 _LENGTHS = {"pixel_pitch_um": "pixel_pitch_mm", "diffusion_sigma_um": "diffusion_sigma_mm"}
 
@@ -422,7 +422,7 @@ def load_detector(name_or_path: str | Path) -> Detector:
         values["offset_dn"] = OFFSET_SIGMA * checked.read_noise_e * checked.gain_dn_per_e
     lengths = {field: getattr(checked, key) * UM_MM for key, field in _LENGTHS.items()}
     table, dark = checked.quantum_efficiency, checked.dark_current
-    silent = {key for key in DetectorFile.model_fields if key.startswith("damage")} | UNSAID
+    silent = {key for key in DetectorFile.model_fields if key.startswith("damage")} | UNSTATED
     if dark is not None:
         values |= {"dark_curve_c": tuple(dark.temperature_c), "dark_curve_e_per_s": tuple(dark.e_per_s)}
         silent = silent | {"dark_doubling_c"}
@@ -486,7 +486,7 @@ def _read(path: Path, above: tuple[Path, ...]) -> tuple[Mapping[str, Any], froze
             **mapping,
             "assumed": [*assumed, *(key for key in base_assumed if key in inherited and key not in assumed)],
         }
-    return {**inherited, **mapping}, frozenset(inherited) - UNSAID
+    return {**inherited, **mapping}, frozenset(inherited) - UNSTATED
 
 
 def _with_curves(mapping: dict[str, Any], path: Path) -> dict[str, Any]:
@@ -495,7 +495,7 @@ def _with_curves(mapping: dict[str, Any], path: Path) -> dict[str, Any]:
     if isinstance(efficiency, dict) and "file" in efficiency:
         if extra := {"wavelength_nm", "value"} & efficiency.keys():
             raise ConfigError(f"{path}: quantum_efficiency: give either file or {min(extra)}, not both")
-        curve = load_band(_beside(path, efficiency["file"], "quantum_efficiency"))
+        curve = load_band(_csv_path(path, efficiency["file"], "quantum_efficiency"))
         if curve.value.max() < LEAST_PEAK:
             raise DomainError(
                 f"{curve.source}: quantum efficiencies up to {100.0 * curve.value.max():.2g} %; if the values are "
@@ -507,7 +507,7 @@ def _with_curves(mapping: dict[str, Any], path: Path) -> dict[str, Any]:
     if not isinstance(dark, dict):
         return mapping
     if "file" in dark:
-        mapping = {**mapping, "dark_current": _dark_rows(_beside(path, dark["file"], "dark_current"))}
+        mapping = {**mapping, "dark_current": _dark_rows(_csv_path(path, dark["file"], "dark_current"))}
     if extra_key := next((key for key in DARK_KEYS if key in mapping and key != "dark_reference_c"), None):
         raise ConfigError(f"{path}: give either {extra_key} or a table [dark_current], not both")
     table = parse_model(DarkTable, mapping["dark_current"], f"{path}: dark_current")
@@ -519,7 +519,7 @@ def _with_curves(mapping: dict[str, Any], path: Path) -> dict[str, Any]:
     return {**mapping, "dark_reference_c": reference, "dark_current_e_per_s": at}
 
 
-def _beside(path: Path, name: Any, table: str) -> Path:
+def _csv_path(path: Path, name: Any, table: str) -> Path:
     if not isinstance(name, str):
         raise ConfigError(f"{path}: {table}.file = {name!r}; the path of a CSV file is needed")
     return path.parent / name

@@ -33,7 +33,7 @@ from render.fits.headers import BLOCK, SUMS, Card, block, checked_cards, summed
 from render.records import Frame
 
 _SATURATED, _DEFECT = 1, 2
-_BESIDE = ("MASK", "DQ", "BPM", "ERR", "UNCERT", "WEIGHT")  # extensions that go with a frame and are none
+_AUXILIARY = ("MASK", "DQ", "BPM", "ERR", "UNCERT", "WEIGHT")  # extensions that go with a frame and are none
 _PIXEL_OFFSET: Card = ("PIXOFF", 1, "add to array indices for FITS pixels")
 _COMMENT: Card = ("COMMENT", "FITS pixel = starbench pixel + 1 (column -> axis 1, row -> axis 2)", "")
 _MASK_CARDS: tuple[Card, ...] = (
@@ -332,10 +332,10 @@ def _images(path: Path | str) -> Iterator[tuple[fits.Header, NDArray[Any], fits.
         images = [
             (hdu.header.copy(), np.array(hdu.data), masks.get(hdu.ver if len(masks) > 1 else min(masks, default=1)))
             for hdu in pictures
-            if hdu.name not in _BESIDE
+            if hdu.name not in _AUXILIARY
         ]
         for hdu in pictures:
-            dict(hdu.header)  # every value is looked at, and the data, while what is wrong can be told
+            dict(hdu.header)  # read every value and the data here, where a fault names the file
         for mask in masks.values():
             mask.data  # noqa: B018
     if not images:

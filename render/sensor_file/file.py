@@ -128,7 +128,7 @@ def in_best_focus(instrument: InstrumentConfig, passband: PassbandConfig) -> Ins
 
     try:
         defocus_mm = best_defocus_mm(instrument, passband)
-    except StarbenchError:  # said where the lens is needed
+    except StarbenchError:  # raised again where the lens is needed
         defocus_mm = 0.0
     return instrument.model_copy(update={"defocus_mm": defocus_mm})
 
@@ -151,7 +151,7 @@ def read_sensor(file: str | Path, model: type[SensorFile] = SensorFile) -> dict[
     return given
 
 
-def whole_sensor(file: str | Path, model: type[SensorFile] = SensorFile) -> dict[str, Any]:
+def complete_sensor(file: str | Path, model: type[SensorFile] = SensorFile) -> dict[str, Any]:
     """As `read_sensor`, all tables whole, with what its lens file implies and the defaults of the model."""
     given = read_sensor(file, model)
     tables = {key: value for key, value in model.model_validate(given).model_dump().items() if isinstance(value, dict)}

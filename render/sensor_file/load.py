@@ -10,7 +10,7 @@ from optics.errors import ConfigError
 from optics.lens.system import LensSystem
 from render.detector.spec import Detector
 from render.sensor import StarSensor, build_star_sensor
-from render.sensor_file.file import SensorFile, in_best_focus, whole_sensor
+from render.sensor_file.file import SensorFile, complete_sensor, in_best_focus
 from render.sensor_file.filters import open_band
 from render.sensor_file.instrument import build_instrument
 
@@ -55,6 +55,6 @@ def load_star_sensor(
         raise ConfigError(f"lens {getattr(lens, 'name', lens)!r} without a detector: give that too, or a sensor file")
     if hardware:
         raise ConfigError(f"{', '.join(hardware)} with sensor file {lens}: state them in the file")
-    config = SensorFile.model_validate(whole_sensor(lens))
+    config = SensorFile.model_validate(complete_sensor(lens))
     sensor = build_instrument(in_best_focus(config.instrument, config.passband))
     return replace(sensor, band=open_band(config.passband, sensor))

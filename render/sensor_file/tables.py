@@ -235,7 +235,7 @@ class FilterConfig(StrictModel):
     @field_validator("reference_nm")
     @classmethod
     def _one_of_them(cls, value: float, info: ValidationInfo) -> float:
-        centres = info.data.get("centres_nm")  # absent if it is wrong itself, which is said then
+        centres = info.data.get("centres_nm")  # absent if invalid, which has its own message
         if centres is not None and value not in centres:
             raise ValueError(f"it must be one of centres_nm = {list(centres)}")
         return value

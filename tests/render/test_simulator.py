@@ -294,7 +294,7 @@ def test_cosmic_rays_and_lag(small, deep):
     flare, calm = (SkySimulator(lagging, deep, cosmic_rays=name, **settings) for name in ("solar_flare", None))
     light = calm.expected(attitude_from_angles(*ORION))
     more = flare.read(light, frame=1).dn.astype(int) - calm.read(light, frame=1).dn
-    struck = flare.hits(1).struck
+    struck = flare.hits(1).hit_mask
     assert (more >= 0).all()
     assert struck.sum() > 5
     assert (more > 0)[struck].mean() > 0.5

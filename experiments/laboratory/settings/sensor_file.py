@@ -12,7 +12,7 @@ from experiments.harness.config import ExperimentConfig
 from experiments.laboratory.bench.centroid_methods import CentroiderName
 from optics.errors import ConfigError, StarbenchError
 from optics.validate import parse_model, read_toml
-from render.sensor_file.file import SensorFile, in_best_focus, read_sensor, whole_sensor
+from render.sensor_file.file import SensorFile, complete_sensor, in_best_focus, read_sensor
 from render.sensor_file.lens_defaults import lens_defaults, lens_remarks
 from render.sensor_file.tables import InstrumentConfig, PassbandConfig
 
@@ -38,7 +38,7 @@ class SensorExperimentConfig(ExperimentConfig):
         for key in read_toml(file) if file.suffix == ".toml" else ():
             if key in cls.model_fields and key not in SensorConfig.model_fields:
                 raise ConfigError(f"{file.name}: {key} is a setting of a run: give it by --set or --config")
-        return {key: value for key, value in whole_sensor(file, SensorConfig).items() if key in cls.model_fields}
+        return {key: value for key, value in complete_sensor(file, SensorConfig).items() if key in cls.model_fields}
 
     @model_validator(mode="after")
     def _best_focus(self) -> Self:

@@ -17,7 +17,7 @@ from experiments.twin.settings import Config
 from optics.lens.perturb import refocus, tilt_image
 from optics.lens_file import load_lens
 from render.psf_lattice import render_psf_grid
-from render.sensor_file.file import SensorFile, whole_sensor
+from render.sensor_file.file import SensorFile, complete_sensor
 from render.sensor_file.instrument import build_instrument, configured_lens
 from render.sensor_file.tables import InstrumentConfig
 from render.sky.star_light import star_light
@@ -62,7 +62,7 @@ def test_the_written_lens_stands_where_its_pose_says(start, tmp_path):
     lens, moved = load_lens(lens_file), moved_lens()
     np.testing.assert_allclose(lens.image_position_mm[:2], moved.image_position_mm[:2], atol=1e-3)
     np.testing.assert_allclose(lens.image_rotation, moved.image_rotation, atol=1e-6)
-    written = SensorFile.model_validate(whole_sensor(sensor_file)).instrument
+    written = SensorFile.model_validate(complete_sensor(sensor_file)).instrument
     assert written.lens == str(lens_file)
     assert written.defocus_mm == pytest.approx(DEFOCUS_MM)
 

@@ -17,7 +17,7 @@ from render.bodies.sunlit_body import planet_body, sphere_photons
 from render.camera import Camera
 
 
-def seen_from_earth(epoch_year):
+def subearth_point_and_axis(epoch_year):
     """Longitude and latitude of the point below the Earth's centre, and position angle of the axis [deg]."""
     system, turn = solar_system(epoch_year, bodies=["moon"]), moon_rotation(epoch_year)
     x, y, z = (system.to_observer_au[0] / system.distance_au[0]) @ turn
@@ -35,7 +35,7 @@ def test_libration_against_meeus():
 
     P counts from the equator of date, 0.04 deg away from that of J2000 here.
     """
-    longitude, latitude, axis = seen_from_earth(Time("1992-04-12", scale="tt").tdb.jyear)
+    longitude, latitude, axis = subearth_point_and_axis(Time("1992-04-12", scale="tt").tdb.jyear)
     assert longitude == pytest.approx(-1.23, abs=0.03)
     assert latitude == pytest.approx(4.20, abs=0.03)
     assert axis == pytest.approx(15.08, abs=0.06)
@@ -44,7 +44,7 @@ def test_libration_against_meeus():
 @pytest.mark.slow
 def test_libration_over_years():
     """Its extremes are the published ones: 7.9 deg in longitude, 6.9 in latitude."""
-    seen = np.array([seen_from_earth(year)[:2] for year in np.linspace(2020.0, 2029.0, 300)])
+    seen = np.array([subearth_point_and_axis(year)[:2] for year in np.linspace(2020.0, 2029.0, 300)])
     assert np.abs(seen).max(0) == pytest.approx([7.9, 6.8], abs=0.25)
 
 

@@ -57,10 +57,10 @@ def test_the_sun_gives_its_photons_times_pst_and_efficiency() -> None:
     to_sun = -observer.from_sun_au / np.linalg.norm(observer.from_sun_au)
     towards, _ = Rotation.align_vectors([[np.sin(0.5), 0.0, np.cos(0.5)]], [to_sun])
     stray = StrayLight(flat(), light, observer=observer, epoch_year=2020.0)
-    found = stray.whole(towards)
+    found = stray.total(towards)
     assert found["sun"] == pytest.approx(1e-6 * light.sun_e_per_s / (observer.from_sun_au**2).sum(), rel=1e-9)
     behind, _ = Rotation.align_vectors([[0.0, 0.0, -1.0]], [to_sun])
-    assert stray.whole(behind)["sun"] == 0.0
+    assert stray.total(behind)["sun"] == 0.0
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ def test_every_struck_pixel_is_in_one_cluster_and_no_charge_is_lost():
     assert sum(one.charge_e for one in clusters) == pytest.approx(hits.charge_e[strong].sum(), rel=1e-9)
     pixels = np.concatenate([one.pixels for one in clusters], axis=1)
     assert {*zip(*pixels.tolist(), strict=True)} == {*zip(hits.row[strong], hits.column[strong], strict=True)}
-    assert pixels.shape[1] == np.count_nonzero(strong) == np.count_nonzero(hits.struck)
+    assert pixels.shape[1] == np.count_nonzero(strong) == np.count_nonzero(hits.hit_mask)
     for one in clusters:
         column, row, columns, rows = one.box_px
         assert (column, row) == (one.pixels[1].min(), one.pixels[0].min())
