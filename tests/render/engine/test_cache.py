@@ -1,9 +1,10 @@
-"""Where Dr.Jit, which aborts without a home folder, keeps its kernels."""
+"""The folder of kernels, without which Dr.Jit aborts."""
 
 import os
 
 import pytest
 
+from optics.errors import BackendError
 from render.engine import cache
 
 
@@ -19,3 +20,19 @@ def test_a_process_without_home_gets_one_meanwhile(monkeypatch, tmp_path):
     monkeypatch.setenv("HOME", "/mine")
     with cache.home_with_cache():
         assert os.environ["HOME"] == "/mine"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="POSIX permissions")
+def test_folders_of_kernels(monkeypatch, tmp_path):
+    """A home without a folder cannot hold one; below the temporary folder, one that only this user can write to."""
+    assert cache._holds_cache(tmp_path)
+    assert not cache._holds_cache(tmp_path / "missing" / "home")
+    monkeypatch.setattr(cache.tempfile, "gettempdir", lambda: str(tmp_path))
+    monkeypatch.setattr(cache.tempfile, "tempdir", str(tmp_path))
+    folder = cache._temporary()
+    assert cache._temporary() == folder
+    folder.chmod(0o777)
+    assert cache._temporary() not in (folder, tmp_path)
+    monkeypatch.setattr(cache.tempfile, "gettempdir", lambda: str(tmp_path / "missing"))
+    with pytest.raises(BackendError, match="no folder for compiled kernels"):
+        cache._temporary()

@@ -9,14 +9,14 @@ import pytest
 from refusals import refuses
 
 from optics.errors import BackendError
-from render.engine import Engine
+from render.engine import Engine, jit, llvm
 from render.engine.llvm import check_llvm, find_llvm, packaged
 
 ROOT = Path(__file__).parents[3]
 PROGRAM = """
 import sys
 from optics.errors import BackendError
-from render.engine import Engine
+from render.engine import Engine, jit, llvm
 from render.engine.llvm import llvm_version
 try:
     print(Engine.start(sys.argv[1]).variant, llvm_version())
@@ -128,7 +128,7 @@ def test_second_start_keeps_the_variant():
 
 LAZY = """
 import sys
-from render.engine import Engine
+from render.engine import Engine, jit, llvm
 Engine.start("llvm")
 assert (Engine.active().types.Float64(2.0) * 3.0)[0] == 6.0
 assert Engine.active().arrays.sqrt(Engine.active().types.Float64(9.0))[0] == 3.0
@@ -174,3 +174,53 @@ def test_names_of_the_library_on_other_systems(tmp_path, monkeypatch, system, th
         (tmp_path / name).touch()
     library = find_llvm([(tmp_path / name).parent for name in there])
     assert (library is None) if found is None else library.relative_to(tmp_path).as_posix().startswith(found)
+
+
+@pytest.mark.parametrize(
+    ("system", "packages", "advice"),
+    [
+        ("darwin", None, "brew install llvm@19"),
+        ("win32", None, "winget install --id LLVM.LLVM --version 19.1.7"),
+        ("linux", "libllvm14 libllvm15", "apt-get install -y libllvm15"),
+        ("linux", "", "apt-get update, then a package from libllvm15 to libllvm19"),
+        ("linux", None, "dnf install llvm-libs"),
+    ],
+)
+def test_advice_names_the_system_s_command(monkeypatch, system, packages, advice):
+    def listed(*_, **__):
+        if packages is None:
+            raise FileNotFoundError
+        return subprocess.CompletedProcess([], 0, stdout=packages)
+
+    monkeypatch.setattr(sys, "platform", system)
+    monkeypatch.setattr(llvm.subprocess, "run", listed)
+    assert advice in llvm.install_advice()
+
+
+def test_library_beside_the_interpreter_is_pointed_to(monkeypatch, tmp_path):
+    """As of conda, where Dr.Jit does not look; a library that Dr.Jit finds, or a named one, is left alone."""
+    (tmp_path / "libLLVM.so.19.1").touch()
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setenv("LD_LIBRARY_PATH", str(tmp_path))
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "restored after the test")
+    del os.environ["DRJIT_LIBLLVM_PATH"]
+    monkeypatch.setattr(llvm, "_found_by_drjit", lambda: True)
+    llvm.point_to_llvm()
+    assert "DRJIT_LIBLLVM_PATH" not in os.environ
+    monkeypatch.setattr(llvm, "_found_by_drjit", lambda: False)
+    llvm.point_to_llvm()
+    assert os.environ["DRJIT_LIBLLVM_PATH"] == str(tmp_path / "libLLVM.so.19.1")
+
+
+@pytest.mark.parametrize(
+    ("reason", "advice"),
+    [("libtinfo.so.6: cannot open shared object file", "apt-get install libtinfo6"), ("no such", "pip install 'drjit")],
+)
+def test_why_dr_jit_cannot_be_loaded(reason, advice):
+    assert advice in jit._why_not(ImportError(reason))
+
+
+def test_what_compiled_code_prints_is_captured():
+    with jit._caught_stderr() as printed:
+        os.write(2, b"from below Python")
+    assert printed == ["from below Python"]

@@ -194,8 +194,7 @@ QUICK = {
 }
 
 
-@pytest.mark.parametrize("diffraction", ["rays", "exact_waves"])
-@pytest.mark.parametrize("stop", QUICK)
+@pytest.mark.parametrize(("stop", "diffraction"), [("in front", "rays"), ("behind", "exact_waves")])
 def test_derivative_along_a_direction(mi, request, stop, diffraction):
     """A singlet at rest (stop in front) or on a trail (behind), several parameters at once, reverse and forward."""
     if diffraction != "rays":

@@ -175,13 +175,12 @@ def moments(image):
     return image.sum(), (image * column).sum() / image.sum(), (image * row).sum() / image.sum()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("integrator", ["path", "ptracer"])
+@pytest.mark.parametrize("integrator", [pytest.param("path", marks=pytest.mark.slow), "ptracer"])
 def test_crop_is_a_part_of_the_film(mi, integrator):
     """Pixels of the crop against those of the whole film; light traced forwards against light traced backwards."""
     lens = load_lens("star_tracker_26mm")
     camera = Camera(lens=lens, width_px=48, height_px=40, pixel_pitch_mm=0.05)
-    render = {"integrator": {"type": integrator, "max_depth": 2}, "spp": 4096}
+    render = {"integrator": {"type": integrator, "max_depth": 2}, "spp": 1024}
 
     def image(crop, **settings):
         sensor = lens_camera_properties(camera)
@@ -192,16 +191,15 @@ def test_crop_is_a_part_of_the_film(mi, integrator):
         return np.array(mi.render(mi.load_dict(scene), integrator=integrator, spp=chosen["spp"]), dtype=float)[..., 0]
 
     cropped = image(CROP)
-    part = image({}, integrator={"type": "path", "max_depth": 2}, spp=512)[9:24, 26:40]
+    part = image({}, integrator={"type": "path", "max_depth": 2}, spp=256)[9:24, 26:40]
     assert cropped.shape == part.shape
-    # 512 rays in each of 210 px backwards, some 3e5 photons in the crop forwards: 0.3 %, 0.01 px
+    # 256 rays in each of 210 px backwards, some 8e4 photons in the crop forwards: 0.5 %, 0.02 px
     (total, x, y), (whole_total, whole_x, whole_y) = moments(cropped), moments(part)
     assert total == pytest.approx(whole_total, rel=0.015)
     assert (x, y) == pytest.approx((whole_x, whole_y), abs=0.06)
     assert 0.2 < part.min() / part.max() < 0.8 or part.min() == 0.0  # there is something to tell places by
 
 
-@pytest.mark.slow
 def test_rows_of_a_crop_start_when_those_of_the_film_do(mi):
     """Rolling shutter: an edge leans as in the whole film, from the first row of the film."""
     camera = Camera(lens=load_lens("star_tracker_26mm"), width_px=48, height_px=40, pixel_pitch_mm=0.05)

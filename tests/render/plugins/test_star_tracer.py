@@ -73,12 +73,11 @@ def test_saved_scene_renders_to_the_same_bytes(mi, bench, camera, tmp_path):
     path = ConstantRate(initial=Rotation.identity(), rate_rad_per_s=np.array([1e-4, 2e-4, 0.0]), end_s=1.0)
     motion = exposure_motion(path, start_s=0.0, exposure_s=0.3, camera=camera, line_time_s=1e-5)
     frames = (
-        (bench.stars_at(camera, [31.2, 47.9, 45.0], [40.1, 44.3, 30.0]), {}),
         (
             bench.stars_at(camera, [52.0], [40.1]),
             {"rotation_cam_from_world": Rotation.from_rotvec([1e-4, 0, 0.1]).as_matrix()},
         ),
-        (bench.stars_at(camera, [38.0], [40.1], bands=((500.0, 50.0), (800.0, 50.0))), {"motion": motion}),
+        (bench.stars_at(camera, [38.0], [40.1], bands=((500.0, 0.0), (800.0, 0.0))), {"motion": motion}),
     )
     for number, (stars, attitude) in enumerate(frames):
         expected = renderer.render(stars, **attitude).electrons
@@ -207,7 +206,6 @@ def test_spacecraft_turns_under_the_sky_with_its_boom(mi, bench, camera):
     assert mi.render(mi.load_dict(scene)).numpy() == pytest.approx(expected, abs=1e-4 * float(expected.max()))
 
 
-@pytest.mark.slow
 def test_bodies_and_stars_in_one_call(mi, bench, camera):
     """A glowing ball in front of a star, by `path`, and a star beside it: electrons of both on one film.
 
@@ -222,7 +220,7 @@ def test_bodies_and_stars_in_one_call(mi, bench, camera):
     stars = stars_of(bench, camera, unit(np.array([0.0, 0.0008]), 0.0))
     scene = star_scene(camera, stars, exposure_s=0.5, contents={"ball": ball})
     scene["integrator"]["bodies"] = {"type": "path", "max_depth": 2}
-    both = mi.render(mi.load_dict(scene), spp=256).numpy().astype(float)
+    both = mi.render(mi.load_dict(scene), spp=64).numpy().astype(float)
     alone = StarRenderer(camera, exposure_s=0.5, contents={"ball": ball}).render(stars)
     body = (both - alone.electrons).sum()
     etendue = math.pi * RADIUS_MM**2 * math.pi * math.sin(radius) ** 2

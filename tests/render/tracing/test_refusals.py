@@ -5,6 +5,7 @@ Mitsuba wraps what a plugin raises into an error of its own.
 
 from collections.abc import Callable
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -143,7 +144,11 @@ def differentiated(motion: bool = False, **changes: Any) -> Call:
 
 
 def llvm(version: tuple[int, ...], drjit: str = "1.4.0", printed: str = "") -> Call:
-    return lambda *_: check_llvm(version, drjit, printed=printed)
+    def call(*_: Any) -> Any:
+        with patch("render.engine.llvm.install_advice", return_value="install it"):
+            check_llvm(version, drjit, printed=printed)
+
+    return call
 
 
 ENGINE = [
@@ -233,6 +238,7 @@ PLUGINS = [
     ("stars behind", scene(stars=lambda mi: star_emitter(mi, -AXIS)), DomainError, ["star 0 lies behind the camera"]),
     ("blurred film", scene(sensor=lambda mi: SENSOR | {"film": FILM | {"rfilter": {"type": "gaussian"}}}), ConfigError,
      ["reconstruction filter would blur"]),
+    ("silhouettes", lambda mi, _: mi.load_dict(SENSOR).projection_transform(), ConfigError, ["prb_projective"]),
     ("conic", parameter("conic", 1), DomainError, ["is a sphere; it has no conic"]),
     ("stop", parameter("tilt_deg", (0, 0)), DomainError, ["is a separate stop"]),
     ("gradient", differentiated(charge_diffusion_px=0.0), ConfigError, ["star 0 has no derivative", "by sobol"]),

@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from optics.frames import field_angles_deg
+from optics.lens.apertures import Spider
 from optics.lens.perturb import decentre
 from optics.lens_file import load_lens
 from optics.rays.chief_ray import chief_ray_points
@@ -105,6 +106,19 @@ def test_light_that_enters_is_what_the_stop_alone_would_pass(engine, bench):
     assert cut.electrons_in[0, 0] == pytest.approx(free.electrons_in[0, 0], rel=TOLERANCE)
     assert cut.electrons_vignetted[0, 0] > 0.03 * cut.electrons_in[0, 0]
     assert free.electrons_vignetted[0, 0] < 1e-12 * free.electrons_in[0, 0]
+
+
+def test_means_of_cut_beams(engine, bench):
+    """On NumPy where the kernel has no outline (a spider): against a dense bundle."""
+    lens = load_lens(LENSES[1])
+    stop = lens.surfaces[lens.stop_index]
+    vanes = replace(stop, apertures=(Spider(obscures=True, arms=3, width_mm=0.2),))
+    camera = bench.camera_of(lens.with_surfaces({lens.stop_index: vanes}), film=False)
+    stars = bench.stars_at(camera, [500.0, 800.0], [500.0, 300.0], bands=((600.0, 0.0),))
+    means = Tracer(camera).bundle_means(stars, rings=40, arms=90)
+    for star in range(2):
+        rays = bench.bundle(camera, stars, star, 0, stagger=True)
+        assert means[star, 0] == pytest.approx(bench.mean_of(*rays), abs=5e-3)
 
 
 @pytest.mark.parametrize("name", LENSES[:2])

@@ -14,6 +14,7 @@ from render.motion.trajectory import ConstantRate
 from render.tracing.measured.images import LINE_ERROR, line_nodes
 from render.tracing.motion.exposure import exposure_motion
 from render.tracing.psf import epsf_tracer, render_epsf
+from render.tracing.tracer import Tracer
 
 PITCH_MM = 0.005
 FOCAL_MM = 25.0
@@ -117,6 +118,7 @@ def test_places_are_those_of_the_camera_model():
     for which in ("chief", "bundle", "photon"):
         found = np.stack([getattr(image.truth, f"{which}_{axis}_px")[:, 0] for axis in "xy"], axis=-1)
         np.testing.assert_allclose(found, place, atol=1e-9)
+    np.testing.assert_allclose(Tracer(camera).bundle_means(stars)[:, 0], place, atol=1e-9)
     for (x, y), t in zip(place, range(3), strict=True):  # the first moment of pixels of a wide image is unbiased
         rows, columns = np.mgrid[round(y) - 6 : round(y) + 7, round(x) - 6 : round(x) + 7]
         if columns.max() > 255 or rows.max() > 255:

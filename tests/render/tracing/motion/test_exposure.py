@@ -10,6 +10,7 @@ from render.forward import StarRenderer
 from render.motion.trajectory import ConstantRate, SampledAttitude
 from render.tracing.motion.exposure import exposure_motion
 from render.tracing.motion.paths import pick_times, star_paths
+from render.tracing.motion.rolling_shutter import recorded, recorded_gaussians
 from render.tracing.tracer import Tracer
 
 EXPOSURE_S = 0.4
@@ -125,7 +126,6 @@ def test_rolling_shutter_row_by_row(engine, bench):
     assert traced.electrons.sum(dtype=float) / rows.sum() == pytest.approx(1.0, abs=3e-5)
 
 
-@pytest.mark.slow
 def test_skew_of_a_rolling_shutter(engine, bench):
     """Stars are where the camera points when their row is exposed: y line times later than the first row."""
     camera = bench.camera_of("star_camera_206mm", film=False)
@@ -203,3 +203,17 @@ def test_paths_are_led_by_few_directions(bench):
         return 1.0 + 3.0 * v[..., 0] - v[..., 1] ** 2 + v[..., 0] * v[..., 1]
 
     assert np.einsum("ntp,np->nt", factor, value(picked)) == pytest.approx(value(paths.nodes), abs=3e-5)
+
+
+def test_recorded_gaussians_have_the_moments_of_recorded_points():
+    """Points of a Gauss-Hermite rule, whose moments are those of the Gaussian, recorded one by one."""
+    mean, shear = np.array([3.0, 7.0]), np.array([6.0, 0.05, -0.1])
+    root = np.array([[0.6, 0.0], [0.3, 0.8]])
+    covariance = (root @ root.T)[[0, 1, 0], [0, 1, 1]]
+    node, weight = np.polynomial.hermite_e.hermegauss(4)
+    points = mean + np.stack(np.meshgrid(node, node), axis=-1).reshape(-1, 2) @ root.T
+    weights = np.outer(weight, weight).ravel() / weight.sum() ** 2
+    landed = np.stack(recorded(*points.T, *shear))
+    centre, (xx, yy, xy) = recorded_gaussians(mean, covariance, shear)
+    assert centre == pytest.approx(landed @ weights)
+    assert np.cov(landed, aweights=weights, ddof=0) == pytest.approx(np.array([[xx, xy], [xy, yy]]))
