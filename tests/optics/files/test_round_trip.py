@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lens_texts import BACK, FACE, STOP, TABLE_HEAD, table_lens
 from refusals import refuses
 
 from optics import LensFile, LensSystem, Rays, list_lenses, read_lens_file, trace
@@ -100,3 +101,42 @@ def test_a_toml_file_that_would_be_refused_is_not_written(tmp_path: Path) -> Non
     refuses(ConfigError, r"cross.*allowed in \.zmx", write_lens, file, tmp_path / "again.toml")
     assert not (tmp_path / "again.toml").exists()
     assert largest_difference(file.lens, read_lens_file(*write_lens(file, tmp_path / "again.zmx")).lens) < 1e-12
+
+
+NORM = {"radius_mm": 80.0, "conic": -0.4, "norm_radius_mm": 9.0}
+KINDS = [
+    {"kind": "odd_asphere", "radius_mm": 90.0, "conic": 0.2, "terms": [0.0, 1e-5, 2e-7]},
+    {"kind": "even_asphere", "radius_mm": 90.0, "conic": 0.2, "asphere": [10.0 ** -(7 + 2 * i) for i in range(9)]},
+    {"kind": "zernike", **NORM, "ordering": "noll", "coefficients_mm": [1e-3, 0.0, 2e-3, 1e-3]},
+    {"kind": "zernike", **NORM, "ordering": "fringe", "coefficients_mm": [1e-3, 0.0, 2e-3, 1e-3]},
+    {"kind": "polynomial", **NORM, "coefficients_mm": [1e-3, 2e-3, 1e-3]},
+    {"kind": "toroid", "radius_mm": 70.0, "terms": [1e-5], "rotation_radius_mm": 120.0},
+    {"kind": "cylinder", "radius_mm": 70.0, "conic": 0.1},
+    {"kind": "biconic", "radius_x_mm": 60.0, "radius_y_mm": 90.0, "conic_x": 0.1, "conic_y": 0.1},
+    {"kind": "paraxial", "focal_length_mm": 90.0},
+]
+OUTLINES = [
+    {"kind": "rectangle", "half_width_mm": [5.0, 4.0]},
+    {"kind": "ellipse", "half_width_mm": [5.0, 4.0], "centre_mm": [0.5, 0.2]},
+    {"kind": "circle", "radius_mm": 2.0, "obscures": True},
+    {"kind": "circle", "radius_mm": 6.0},
+    {"kind": "spider", "arms": 3, "width_mm": 0.4},
+]
+NOT_IN_SEQ = ("zernike", "polynomial", "toroid", "paraxial", "spider")
+
+
+@pytest.mark.parametrize(
+    ("table", "suffix"),
+    [
+        pytest.param(table, suffix, id=f"{table['kind']} {suffix}")
+        for table in (*KINDS, *OUTLINES)
+        for suffix in ("toml", "zmx", "seq")
+        if suffix != "seq" or table["kind"] not in NOT_IN_SEQ
+    ],
+)
+def test_every_kind_of_surface_and_aperture_comes_back(table: dict[str, object], suffix: str, tmp_path: Path) -> None:
+    face = {**FACE, "aperture": [table]} if table in OUTLINES else {**table, "thickness_mm": 6.0, "medium": "N-BK7"}
+    surfaces = [{**STOP, "semi_diameter_mm": 6.0}, face, BACK]
+    lens = table_lens(*surfaces)
+    (path,) = write_lens(LensFile(lens=lens, tables={**TABLE_HEAD, "surface": surfaces}), tmp_path / f"a.{suffix}")
+    assert largest_difference(lens, read_lens_file(path).lens) < 1e-12

@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 import pytest
+from lens_texts import BACK, STOP, table_lens
 from matplotlib.path import Path as Outline
 
 from optics.arrays import NUMPY
 from optics.figures import draw_lens
 from optics.lens.apertures import APERTURES, Circle, Ellipse, Polygon, Rectangle, Spider
-from optics.lens.prescription import lens_from_table
 from optics.rays.trace import OK, VIGNETTED, Rays, trace
 
 STAR = tuple((r * math.cos(a), r * math.sin(a)) for r, a in zip([5, 2] * 5, np.arange(10) * math.pi / 5, strict=True))
@@ -90,12 +90,9 @@ def keys(shape):
 
 
 def lens_with(*apertures, mirror=False):
-    stop = {"kind": "plane", "thickness_mm": 10.0, "medium": "air", "stop": True, "semi_diameter_mm": 9.0}
-    face = {"radius_mm": 500.0, "thickness_mm": -50.0 if mirror else 5.0, "medium": "mirror" if mirror else "N-BK7",
-            "aperture": apertures}  # fmt: skip
-    end = {"kind": "plane", "thickness_mm": 50.0, "medium": "air"}
-    head = {"name": "cut", "source": "test", "design_wavelength_nm": 600.0, "max_field_deg": 1.0}
-    return lens_from_table({**head, "surface": [stop, face, *([] if mirror else [end])]}, where="lens.toml")
+    along, medium = (-50.0, "mirror") if mirror else (5.0, "N-BK7")
+    face = {"radius_mm": 500.0, "thickness_mm": along, "medium": medium, "aperture": apertures}
+    return table_lens({**STOP, "semi_diameter_mm": 9.0}, face, *([] if mirror else [BACK]))
 
 
 def traced(lens, x, y):

@@ -5,9 +5,10 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from lens_texts import table_lens
 from refusals import refuses
 
-from optics import Conic, EvenAsphere, Plane, Rays, Sphere, load_lens, paraxial, trace
+from optics import Conic, EvenAsphere, Plane, Rays, Sphere, paraxial, trace
 from optics.arrays import NUMPY
 from optics.errors import DomainError
 from optics.lens.perturb import change_shape, change_temperature, decentre, tilt
@@ -54,37 +55,17 @@ def directions(count=200):
     return np.array([*slopes, np.ones(count)]) / np.sqrt(1.0 + (slopes**2).sum(0))
 
 
-def toml_value(value):
-    return f"[{', '.join(map(repr, value))}]" if isinstance(value, tuple) else repr(value)
+def keys(shape):
+    """The shape as a table of a lens file."""
+    return {"kind": shape.kind, **{field.name: getattr(shape, field.name) for field in fields(shape)}}
 
 
-def lens_with(shape, folder, *, thickness_mm=6.0):
-    """A plano lens, read from a file, whose first surface has the shape; its stop stands in front."""
-    keys = "\n".join(f"{field.name} = {toml_value(getattr(shape, field.name))}" for field in fields(shape))
-    path = folder / "lens.toml"
-    path.write_text(f"""
-name = "one"
-source = "test"
-design_wavelength_nm = 600.0
-max_field_deg = 3.0
-[stop]
-z_mm = -5.0
-semi_diameter_mm = 5.0
-[[surface]]
-kind = "{shape.kind}"
-{keys}
-thickness_mm = {thickness_mm}
-medium = "N-BK7"
-semi_diameter_mm = {REACH_MM}
-element = "L1"
-[[surface]]
-radius_mm = -300.0
-thickness_mm = 90.0
-medium = "air"
-semi_diameter_mm = {REACH_MM}
-element = "L1"
-""")
-    return load_lens(path)
+def lens_with(shape):
+    """A plano lens whose first surface has the shape; its stop is in front."""
+    common = {"semi_diameter_mm": REACH_MM, "element": "L1"}
+    front = {**keys(shape), "thickness_mm": 6.0, "medium": "N-BK7", **common}
+    back = {"radius_mm": -300.0, "thickness_mm": 90.0, "medium": "air", **common}
+    return table_lens(front, back, stop={"z_mm": -5.0, "semi_diameter_mm": 5.0})
 
 
 def test_every_listed_kind_has_an_example_and_a_name_of_its_own():
@@ -155,8 +136,8 @@ def test_sag_ends_at_the_rim(shape):
 
 
 @every_kind
-def test_a_lens_file_names_it_and_gives_it_back(shape, tmp_path):
-    assert lens_with(shape, tmp_path).surfaces[1].shape == shape
+def test_a_lens_file_names_it_and_gives_it_back(shape):
+    assert lens_with(shape).surfaces[1].shape == shape
 
 
 @every_kind
@@ -172,8 +153,8 @@ def test_numpy_and_drjit_agree(shape):
 
 
 @every_kind
-def test_light_goes_back_the_way_it_came_through_a_lens_out_of_line(shape, tmp_path):
-    lens = tilt(decentre(lens_with(shape, tmp_path), 1, 0.2, -0.1), "L1", 0.4, 0.3)
+def test_light_goes_back_the_way_it_came_through_a_lens_out_of_line(shape):
+    lens = tilt(decentre(lens_with(shape), 1, 0.2, -0.1), "L1", 0.4, 0.3)
     x, y = points() / 2.0
     rays = Rays.create(x_mm=x, y_mm=y, z_mm=-10.0, direction=[0.02, 0.03, 1.0], wavelength_nm=600.0)
     out = trace(lens, rays)
@@ -189,8 +170,8 @@ def test_light_goes_back_the_way_it_came_through_a_lens_out_of_line(shape, tmp_p
 
 
 @every_kind
-def test_its_numbers_change_one_at_a_time_and_by_temperature(shape, tmp_path):
-    lens = lens_with(shape, tmp_path)
+def test_its_numbers_change_one_at_a_time_and_by_temperature(shape):
+    lens = lens_with(shape)
     for field in fields(shape):
         if not isinstance(getattr(shape, field.name), float):
             continue
@@ -202,8 +183,8 @@ def test_its_numbers_change_one_at_a_time_and_by_temperature(shape, tmp_path):
 
 
 @every_kind
-def test_paraxial_quantities_exist_for_surfaces_of_revolution_only(shape, tmp_path):
-    lens = lens_with(shape, tmp_path)
+def test_paraxial_quantities_exist_for_surfaces_of_revolution_only(shape):
+    lens = lens_with(shape)
     if shape.rotational:
         assert paraxial(lens).efl_mm != 0.0
     else:
