@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field
 from pydantic.fields import FieldInfo
 
-from optics.validate import read_toml, without_lax
+from optics.validate import StrictTable, read_toml
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ def unit_of(name: str) -> str:
     return _WRITTEN.get(words[-1], words[-1]) if words[-1] in _UNITS else ""
 
 
-class StrictModel(BaseModel):
+class StrictModel(StrictTable):
     """Base of every configuration table: frozen, unknown keys are errors, no NaN, units in the key names.
 
     Values are of the type of their field: neither true nor "1.5" is a number.
@@ -74,14 +74,9 @@ class StrictModel(BaseModel):
     has none (``_fraction``, ``_ratio``, ``_snr``, ...); other pure numbers are named in `dimensionless`.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True)
+    model_config = ConfigDict(allow_inf_nan=False, validate_default=True)
 
     dimensionless: ClassVar[frozenset[str]] = frozenset()
-
-    @model_validator(mode="before")
-    @classmethod
-    def _of_their_types(cls, values: Any) -> Any:
-        return without_lax(values, cls)
 
     @classmethod
     def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:

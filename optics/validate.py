@@ -8,9 +8,9 @@ import tomllib
 import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 
 from optics.errors import ConfigError, unknown_name
@@ -44,6 +44,20 @@ _NEEDED = {
 """Sentences in place of pydantic's."""
 _OUT_OF_BOUNDS = frozenset(("greater_than", "greater_than_equal", "less_than", "less_than_equal"))
 _BOUNDS = (("gt", "above {}"), ("ge", "at least {}"), ("lt", "below {}"), ("le", "at most {}"))
+
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+class StrictTable(BaseModel):
+    """Base of tables: frozen, unknown keys and values of another type are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_their_types(cls, table: Any) -> Any:
+        return without_lax(table, cls)
 
 
 def parse_model(

@@ -104,15 +104,4 @@ def index_parameters(
     kelvin = environment.temperature_c - reference
     if math.isclose(kelvin, 0.0, abs_tol=1e-12) or (glass.dndt is None and abs(kelvin) <= UNKNOWN_DNDT_K):
         return parameters, form, False
-    if glass.dndt is None:
-        raise DomainError(
-            f"glass {glass.name} has no dn/dT data; the lens cannot be used at {environment.temperature_c:g} C, "
-            f"more than {UNKNOWN_DNDT_K:g} K from the catalogue's {reference:g} C"
-        )
-    low, high = glass.dndt.range_c
-    if not low <= environment.temperature_c <= high:
-        raise DomainError(
-            f"glass {glass.name}: temperature {environment.temperature_c:g} C is outside {low:g} ... {high:g} C "
-            "of its dn/dT data"
-        )
-    return [*parameters, *glass.dndt.terms(kelvin)], form, True
+    return [*parameters, *glass.thermal_terms(environment.temperature_c)], form, True

@@ -24,7 +24,7 @@ from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError, unknown_name
 from optics.glass.air import STANDARD_PRESSURE_HPA, AirFormula, air_index
 from optics.glass.dispersion import Dispersion
-from optics.glass.thermal_index import ThermalDispersion
+from optics.glass.thermal_index import ThermalDispersion, thermal_change
 from optics.response import Response, checked_wavelength
 
 
@@ -162,11 +162,17 @@ class Glass:
         DomainError
             Wavelength or temperature outside its range, or no dn/dT data for another temperature.
         """
-        relative = self.index(wavelength_nm)
+        wavelength_nm = self._inside(wavelength_nm)
+        relative = self.dispersion.index(wavelength_nm)
         reference = self.reference_temperature_c
         absolute = relative * air_index(wavelength_nm, reference, self.reference_pressure_hpa, formula=air_formula)
         if temperature_c is None or temperature_c == reference:
             return np.asarray(absolute)
+        return np.asarray(absolute + thermal_change(wavelength_nm, relative, *self.thermal_terms(temperature_c)))
+
+    def thermal_terms(self, temperature_c: float) -> tuple[float, float, float]:
+        """Terms of dn/dT (`optics.glass.thermal_index.thermal_change`) at a temperature; DomainError without data."""
+        reference = self.reference_temperature_c
         if self.dndt is None:
             raise DomainError(
                 f"glass {self.name} has no dn/dT data, so {temperature_c:g} C cannot be computed; use {reference:g} C"
@@ -174,9 +180,9 @@ class Glass:
         low, high = self.dndt.range_c
         if not low <= temperature_c <= high:
             raise DomainError(
-                f"glass {self.name}: temperature {temperature_c:g} C is outside {low:g} ... {high:g} C, its dn/dT range"
+                f"glass {self.name}: {temperature_c:g} C is outside {low:g} ... {high:g} C of its dn/dT data"
             )
-        return np.asarray(absolute + self.dndt.index_change(wavelength_nm, relative, temperature_c - reference))
+        return self.dndt.terms(temperature_c - reference)
 
     def relative_index(
         self,

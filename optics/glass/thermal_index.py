@@ -16,9 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from optics.arrays import FloatArray
 from optics.errors import DomainError
 
 LARGE_STEP_K = 60.0
@@ -69,11 +67,6 @@ class ThermalDispersion:
                 f"dn/dT constants {self.constants} change n^2 - 1 by more than a tenth in {LARGE_STEP_K:g} K, which no "
                 "glass does; they are [1/K], [1/K^2], [1/K^3], [um^2/K], [um^2/K^2], [um]"
             )
-
-    def index_change(self, wavelength_nm: ArrayLike, index: ArrayLike, kelvin: float) -> FloatArray:
-        """Change of the absolute index over a step ``kelvin`` [K]; ``index`` is that at the reference temperature."""
-        wavelength, n = np.asarray(wavelength_nm, dtype=np.float64), np.asarray(index, dtype=np.float64)
-        return np.asarray(thermal_change(wavelength, n, *self.terms(kelvin)))
 
     def terms(self, kelvin: float) -> tuple[float, float, float]:
         """Terms of the formula for one temperature step: volume, resonance strength [um^2], resonance [um^2]."""

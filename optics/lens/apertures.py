@@ -19,8 +19,8 @@ from pydantic import Field, FiniteFloat
 
 from optics.arrays import ArrayNamespace, FloatArray
 from optics.errors import DomainError
+from optics.validate import Positive
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Point = tuple[FiniteFloat, FiniteFloat]
 ROUND_POINTS = 72
 

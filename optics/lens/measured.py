@@ -63,11 +63,10 @@ from optics.arrays import FloatArray
 from optics.distortion_polynomial import COEFFICIENTS, distort, one_to_one_radius_mm
 from optics.errors import DomainError
 from optics.interpolation import bracket
-from optics.lens.tables import StrictTable
 from optics.records import freeze, freeze_all, locked
 from optics.response import Response
 from optics.units import UM_MM
-from optics.validate import parse_model
+from optics.validate import Positive, StrictTable, parse_model
 
 ROUNDING = 1e-6
 """Tolerance of the sum of the components' fractions; they are scaled to 1."""
@@ -217,7 +216,6 @@ class MeasuredLens:
 
 Table = FiniteFloat | list[list[list[FiniteFloat]]]
 """A number that holds everywhere, or one per wavelength, row and column of the nodes."""
-Positive = Annotated[FiniteFloat, Field(gt=0)]
 
 
 class _Camera(StrictTable):

@@ -18,20 +18,9 @@ REFINEMENTS = 5
 
 
 def moved_element(lens: LensSystem, element: str, kind: str, axis: int, amount: float) -> LensSystem:
-    """The lens with one element moved.
+    """The lens with an element decentred [mm] along x (``axis`` 0) or y (1), or tilted [deg] in the plane of it and z.
 
-    Parameters
-    ----------
-    lens : LensSystem
-        The lens.
-    element : str
-        Name of the element.
-    kind : {"decentre", "tilt"}
-        Decentre [mm] along x or y, or tilt [deg] in the plane of x or y and z.
-    axis : int
-        0 for x, 1 for y.
-    amount : float
-        In mm or deg.
+    ``kind`` is ``"decentre"`` or ``"tilt"``.
     """
     if kind not in ("decentre", "tilt"):
         raise DomainError(f"movement {kind!r}; 'decentre' or 'tilt' is needed")
@@ -41,24 +30,10 @@ def moved_element(lens: LensSystem, element: str, kind: str, axis: int, amount: 
 
 
 def smallest_movement(excess: Callable[[float], float], limit: float) -> float:
-    """Movement nearest to zero for which a quantity has its wanted value.
+    """Movement nearest to zero at which a quantity less its target, ``excess``, vanishes.
 
-    Parameters
-    ----------
-    excess : callable
-        Quantity minus wanted value for a movement.
-    limit : float
-        Largest movement of either sign that is tried.
-
-    Returns
-    -------
-    float
-        The movement; NaN where the slope at rest points to none within the limit.
-
-    Raises
-    ------
-    ConvergenceError
-        If the bracketed root is not reached.
+    NaN where the slope at rest points to none within +-``limit``; ConvergenceError if the bracketed root is not
+    reached.
     """
     rest = excess(0.0)
     if abs(rest) < REACHED:

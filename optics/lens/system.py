@@ -272,13 +272,8 @@ class LensSystem:
         if self.throughput is not None:
             checked_wavelength(values, self.throughput.range_nm, self.throughput.name, "the table ends there")
         for name in dict.fromkeys(s.medium for s in self.surfaces if s.medium != AMBIENT):
-            low, high = self.glasses[name].range_nm
-            bad = ~((values >= low) & (values <= high))
-            if bad.any():
-                raise DomainError(
-                    f"wavelength {values[bad].flat[0]:g} nm is outside {low:g} ... {high:g} nm, "
-                    f"the range of glass {name} in lens {self.name!r}"
-                )
+            what = f"glass {name} in lens {self.name!r}"
+            checked_wavelength(values, self.glasses[name].range_nm, what, "its dispersion formula holds nowhere else")
 
     def label(self, index: int) -> str:
         """Name of a surface in messages, by the count of its file; "the image plane" behind the last."""

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_type_hints
 import numpy as np
 from pydantic import (
     BaseModel,
-    ConfigDict,
     Discriminator,
     Field,
     FiniteFloat,
@@ -28,9 +27,8 @@ from optics.glass.coating import BARE, Coating, Film, QuarterWave, Stack, Tabula
 from optics.lens.apertures import APERTURES, Aperture
 from optics.lens.shapes.base import Shape
 from optics.lens.shapes.registry import SHAPES, UNNAMED
-from optics.validate import without_lax
+from optics.validate import Positive, StrictTable
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Expansion = Annotated[float, Field(ge=-1e-3, le=1e-3)]
 Length = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
@@ -43,15 +41,6 @@ UNCOATED = "bare"
 """Name of no coating."""
 BREAK: Final = "coordinate_break"
 """Kind of a table that only moves the frame."""
-
-
-class StrictTable(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _of_their_types(cls, table: Any) -> Any:
-        return without_lax(table, cls)
 
 
 class MovedTable(StrictTable):
@@ -339,8 +328,8 @@ class Prescription(StrictTable):
     pupil: PupilTable | None = None
     surface: Annotated[tuple[AnySurface, ...], Field(min_length=1)]
     image: ImageTable = ImageTable()
-    glass: dict[str, GlassTable] = {}
-    coating: dict[str, CoatingTable] = {}
+    glass: dict[str, GlassTable] = Field(default_factory=dict)
+    coating: dict[str, CoatingTable] = Field(default_factory=dict)
     default_coating: str = ""
 
     @model_validator(mode="after")

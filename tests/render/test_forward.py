@@ -71,6 +71,6 @@ def test_errors_come_out_as_they_are_raised(engine, bench, small):
     renderer = StarRenderer(camera)
     with pytest.raises(DomainError, match="star 0 lies behind the camera"):
         renderer.render(replace(stars, direction=-stars.direction))
-    with pytest.raises(DomainError, match=r"wavelength 5000 nm is outside .*, the range of glass N-FK51A"):
+    with pytest.raises(DomainError, match=r"glass N-FK51A.*wavelength 5000 nm is outside"):
         renderer.render(replace(stars, wavelength_nm=np.full_like(stars.wavelength_nm, 5000.0)))
     assert renderer.render(stars).electrons.sum() > 0  # still of use

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
-from pydantic import Field, FiniteFloat
+from pydantic import FiniteFloat
 
 from optics.arrays import ArrayNamespace
 from optics.forbes import bfs_from_q, bfs_sum, qcon_sum
 from optics.lens.shapes.base import require_finite, require_positive
 from optics.lens.shapes.revolution import Asphere, conic_profile
+from optics.validate import Positive
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _ForbesAsphere(Asphere):
     """Conic plus a departure by polynomials Q_m(u^2), u = r / ``norm_radius_mm``, with coefficients ``q_mm[m]``."""
 
-    norm_radius_mm: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    norm_radius_mm: Positive
     q_mm: tuple[FiniteFloat, ...] = ()
 
     def __post_init__(self) -> None:

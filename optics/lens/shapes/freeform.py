@@ -6,14 +6,15 @@ import math
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
-from pydantic import Field, FiniteFloat
+from pydantic import FiniteFloat
 
 from optics.arrays import NUMPY, ArrayNamespace, FloatArray
 from optics.lens.shapes.base import Hit, Shape, require_finite, require_positive
 from optics.lens.shapes.revolution import Curved, conic_path, conic_profile, conic_rim_mm
+from optics.validate import Positive
 
 NEWTON_STEPS, NEWTON_RESIDUAL_MM = 8, 1e-10
 
@@ -72,7 +73,7 @@ class PolynomialFreeform(Freeform, Curved):
 
     radius_mm: float = math.inf
     conic: FiniteFloat = 0.0
-    norm_radius_mm: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    norm_radius_mm: Positive
     coefficients_mm: tuple[FiniteFloat, ...] = ()
 
     def __post_init__(self) -> None:

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
-from pydantic import Field
 
 from optics.arrays import FloatArray
 from optics.lens.shapes.freeform import PolynomialFreeform
+from optics.validate import Positive
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class XYPolynomial(PolynomialFreeform):
     """Conic plus ``coefficients_mm`` of x, y, x^2, x y, y^2, x^3, x^2 y, ..., x and y over ``norm_radius_mm``."""
 
-    norm_radius_mm: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.0
+    norm_radius_mm: Positive = 1.0
     kind: ClassVar[str] = "polynomial"
 
     def _powers(self) -> list[tuple[int, int]]:
