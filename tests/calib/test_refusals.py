@@ -51,6 +51,7 @@ from calib.directional.fisher_checks import exponential_check, fisher_outliers, 
 from calib.fitting.least_squares import DenseProblem, solve
 from calib.fitting.robust_loss import get_loss
 from calib.fitting.solution import Solution
+from calib.flags import StarFlag
 from calib.measure.background import estimate_background
 from calib.measure.centroid_error.cramer_rao_bound import cramer_rao, flux_for_snr
 from calib.measure.centroid_error.prediction import predict_centroids
@@ -61,6 +62,7 @@ from calib.measure.detection.matched_filter import detect, detection_noise
 from calib.measure.epsf.build import build_epsf
 from calib.measure.find import find_stars
 from calib.measure.images.sensor_image import sensor_image, subtract_dark
+from calib.measure.reduced_windows import refuse_saturated
 from calib.measure.stamps import extract_stamps
 from calib.measure.statistics.separability import separability
 from calib.measure.targets.circle_edge import sample_spokes
@@ -556,6 +558,7 @@ def dark_screen() -> None:
 GAIN = {"gain_dn_per_e": 1.0, "offset_dn": 0.0, "read_noise_e": 1.0}
 IMAGE = image_of(np.random.default_rng(1).normal(100.0, 3.0, (64, 64)))
 WINDOWS = stamps_of(1e4 * gaussian_stars(np.full(12, 5.0), np.full(12, 5.0), 0.7), np.full(12, 5.0), np.full(12, 5.0))
+FULL = replace(WINDOWS, flags=np.array([int(StarFlag.SATURATED)] + [0] * 11, np.uint32))
 LINE = np.column_stack([np.arange(10.0), 2 * np.arange(10.0)])
 RECORDS = [
     domain("read noise", lambda: NoiseModel(read_noise_e=-1.0), "read_noise_e = -1.0 e-"),
@@ -629,6 +632,11 @@ MEASURE = [
     ("dark screen", dark_screen, ConvergenceError, ["the spot shows only", "more light"]),
     domain("target: dark", matched(slice(0)), "here: no target point", "expose longer"),
     domain("target: a point", matched(slice(1, None)), "1 of 12", "column 0.0, row 0.0"),
+    domain(
+        "saturated windows",
+        lambda: refuse_saturated(FULL, 6, where="readout", advice="expose shorter"),
+        *("readout: saturated at 1 of 6 places", "column 5, row 5", "expose shorter"),
+    ),
     domain("separability", lambda: separability(np.zeros((5, 4)), np.zeros(5, int), np.zeros(5, int)), "both kinds"),
 ]
 

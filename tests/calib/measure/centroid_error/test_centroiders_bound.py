@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from star_images import gaussian_epsf, gaussian_stars, noisy, stamps_of
+from star_images import gaussian_epsf, gaussian_stars, noisy, sampled_stars, stamps_of
 
 from calib.measure.centroid_error.cramer_rao_bound import cramer_rao, flux_for_snr
 from calib.measure.centroiding.registry import get_centroider
@@ -19,11 +19,8 @@ def sample(snr, read_noise_e=5.0, seed=0):
     """N noisy stars of one flux at random phases, and the root mean bound on x and y at those phases."""
     noise = NoiseModel(read_noise_e=read_noise_e)
     rng = np.random.default_rng([seed, int(snr)])
-    x, y = 5.0 + rng.uniform(-0.5, 0.5, (2, N))
     flux = flux_for_snr(gaussian_stars([5.0], [5.0], SIGMA_PX)[0], snr, BACKGROUND_E, noise)
-    electrons = noisy(flux * gaussian_stars(x, y, SIGMA_PX) + BACKGROUND_E, read_noise_e, rng)
-    start = rng.normal(0.0, 0.1, (2, N))
-    stamps = stamps_of(electrons, x + start[0], y + start[1], background_e=BACKGROUND_E)
+    x, y, stamps = sampled_stars(lambda x, y: flux * gaussian_stars(x, y, SIGMA_PX), rng, N, BACKGROUND_E, read_noise_e)
 
     def model(p):
         return p[2] * gaussian_stars(p[:1], p[1:2], SIGMA_PX)[0] + BACKGROUND_E

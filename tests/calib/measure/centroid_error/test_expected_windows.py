@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from star_images import gaussian_epsf
 
 from calib.measure.centroid_error.expected_windows import (
     bound_px,
@@ -15,29 +16,16 @@ from calib.measure.centroid_error.expected_windows import (
     pattern_shifts_px,
     window_response,
 )
-from calib.measure.centroiding.gaussian import draw_gaussian
 from calib.measure.centroiding.registry import get_centroider
 from calib.measure.stamps import noiseless_stamps
 from calib.records import NoiseModel
 from render.detector.noise import PixelNoise
 from render.detector.spec import load_detector
-from render.records import EffectivePsf
 
 SIZE, FLUX = 11, 5000.0
 CHIP = load_detector("cmv4000")
-TOLD = NoiseModel(
-    read_noise_e=CHIP.read_noise_e, gain_dn_per_e=CHIP.gain_dn_per_e, offset_dn=CHIP.offset_dn, quantised=True
-)
+STATED = NoiseModel.of(CHIP)
 NOISE = PixelNoise.of(CHIP, temperature_c=0.0, exposure_s=0.1)
-
-
-def gaussian_psf(sigma_px):
-    """A Gaussian as the pixels see it, on eight samples per pixel."""
-    half = 7 * 8
-    offset = np.arange(-half, half + 1) / 8.0
-    grid = np.stack(np.meshgrid(-offset, -offset), axis=-1).reshape(-1, 2)
-    values = draw_gaussian(grid[:, 0], grid[:, 1], sigma_px, (1, 1)).reshape(len(offset), len(offset))
-    return EffectivePsf(values=values, oversampling=8)
 
 
 def windows_of(psf, **settings):
@@ -48,7 +36,7 @@ def windows_of(psf, **settings):
 
 @pytest.fixture(scope="module")
 def psf():
-    return gaussian_psf(0.6)
+    return gaussian_epsf(0.6, 8, 7)
 
 
 @pytest.fixture(scope="module")
@@ -59,11 +47,11 @@ def windows(psf):
 def test_windows_lie_around_the_stars_and_leave_out_defects(psf):
     position, defect = np.array([[100.3, 60.6], [41.5, 80.49]]), np.zeros((100, 200), bool)
     defect[62, 97] = True
-    made = expected_windows([psf, psf], position, FLUX, window_px=SIZE, defect=defect)
-    assert np.abs(made.corner_px + (SIZE - 1) / 2 - position).max() <= 0.5
-    assert np.argwhere(~made.valid).tolist() == [[0, 62 - made.corner_px[0, 1], 97 - made.corner_px[0, 0]]]
-    np.testing.assert_allclose(made.light_e.sum((1, 2)), FLUX, rtol=1e-4)
-    assert made.psf_index.tolist() == [0, 1]
+    windows = expected_windows([psf, psf], position, FLUX, window_px=SIZE, defect=defect)
+    assert np.abs(windows.corner_px + (SIZE - 1) / 2 - position).max() <= 0.5
+    assert np.argwhere(~windows.valid).tolist() == [[0, 62 - windows.corner_px[0, 1], 97 - windows.corner_px[0, 0]]]
+    np.testing.assert_allclose(windows.light_e.sum((1, 2)), FLUX, rtol=1e-4)
+    assert windows.psf_index.tolist() == [0, 1]
 
 
 def test_a_converter_that_bends_takes_its_part_of_the_light(psf, windows):
@@ -75,12 +63,12 @@ def test_a_converter_that_bends_takes_its_part_of_the_light(psf, windows):
 
 def test_a_fit_follows_a_step_of_the_image_whole(windows, psf):
     centroider = get_centroider("epsf", epsf=[psf])
-    np.testing.assert_allclose(followed_px(centroider, windows, TOLD, 0.1), 0.1, rtol=2e-3)
-    assert not followed_px(centroider, windows, TOLD, 0.0).any()
+    np.testing.assert_allclose(followed_px(centroider, windows, STATED, 0.1), 0.1, rtol=2e-3)
+    assert not followed_px(centroider, windows, STATED, 0.0).any()
 
 
 def test_the_response_of_a_centre_of_gravity_is_its_lever(windows):
-    response = window_response(get_centroider("cog", half_width_px=None), windows, TOLD)
+    response = window_response(get_centroider("cog", half_width_px=None), windows, STATED)
     for star in range(3):
         lever = (np.arange(SIZE) + 100.0 - response.position_px[star, 0]) / windows.light_e[star].sum()
         np.testing.assert_allclose(response.gain_px_per_e[star, 0], np.tile(lever, (SIZE, 1)), rtol=3e-3, atol=1e-9)
@@ -88,12 +76,12 @@ def test_the_response_of_a_centre_of_gravity_is_its_lever(windows):
 
 @pytest.mark.parametrize("sigma_px", [0.6, 2.5])  # the windows hold all of the light, 93 % of it
 def test_an_epsf_fit_told_the_true_noise_reaches_the_bound(sigma_px):
-    psf = gaussian_psf(sigma_px)
-    windows, told = windows_of(psf), replace(NOISE, read_e2=13.0**2, dark_e=0.0)
-    response = window_response(get_centroider("epsf", epsf=psf), windows, TOLD)
-    sigma = response.sigma_px(told.temporal_e2(windows.light_e))
-    np.testing.assert_allclose(sigma, bound_px(windows, told.floor_e2), rtol=5e-3)
-    covariance = response.covariance_px2(told.temporal_e2(windows.light_e))
+    psf = gaussian_epsf(sigma_px, 8, 7)
+    windows, true = windows_of(psf), replace(NOISE, read_e2=13.0**2, dark_e=0.0)
+    response = window_response(get_centroider("epsf", epsf=psf), windows, STATED)
+    sigma = response.sigma_px(true.temporal_e2(windows.light_e))
+    np.testing.assert_allclose(sigma, bound_px(windows, true.floor_e2), rtol=5e-3)
+    covariance = response.covariance_px2(true.temporal_e2(windows.light_e))
     np.testing.assert_allclose(np.diagonal(covariance, axis1=1, axis2=2), sigma**2, rtol=1e-12)
 
 
@@ -103,13 +91,13 @@ def test_drawn_noise_scatters_as_the_response_says(windows, method, dark_e):
     draws = 3000
     noise = NOISE if dark_e is None else replace(NOISE, dark_e=dark_e)
     centroider = get_centroider(method)
-    drawn = drawn_positions(centroider, windows, TOLD, noise, draws=draws, rng=np.random.default_rng(4))
-    linear = window_response(centroider, windows, TOLD).sigma_px(noise.temporal_e2(windows.light_e))
+    drawn = drawn_positions(centroider, windows, STATED, noise, draws=draws, rng=np.random.default_rng(4))
+    linear = window_response(centroider, windows, STATED).sigma_px(noise.temporal_e2(windows.light_e))
     np.testing.assert_allclose(drawn.std(0, ddof=1), linear, rtol=4.0 / np.sqrt(2.0 * draws) + 0.01)
 
 
 def test_chips_differ_less_when_their_pixels_do(windows):
-    response = window_response(get_centroider("cog"), windows, TOLD)
+    response = window_response(get_centroider("cog"), windows, STATED)
     even = replace(NOISE, read_e4=0.0, dark_pattern_e=0.0)
     assert response.device_sigma_px(windows.light_e, even).max() == 0.0
     # 49 pixels with levers of equal weight: a fifth of the variance each, over some 20 pixels that count
@@ -120,11 +108,11 @@ def test_chips_differ_less_when_their_pixels_do(windows):
 def test_mirrored_draws_have_no_noise_in_their_mean(windows):
     """A centre of gravity is nearly linear: noise of opposite signs cancels to the square of its relative size."""
     centroider, rng = get_centroider("cog", half_width_px=None), np.random.default_rng(4)
-    given = (centroider, windows, TOLD, NOISE)
+    given = (centroider, windows, STATED, NOISE)
     both = drawn_positions(*given, draws=200, rng=rng, mirrored=True)
     assert both.shape == (200, 3, 2)
     single = both.std(0, ddof=1)
-    pairs = both.reshape(100, 2, 3, 2).mean(1) - window_response(centroider, windows, TOLD).position_px
+    pairs = both.reshape(100, 2, 3, 2).mean(1) - window_response(centroider, windows, STATED).position_px
     assert np.sqrt((pairs**2).mean(0)).max() < 0.2 * single.min()
     np.testing.assert_allclose(both[::2].std(0, ddof=1), single, rtol=4.0 / np.sqrt(200))
     free = drawn_positions(*given, draws=200, rng=rng)
@@ -134,7 +122,7 @@ def test_mirrored_draws_have_no_noise_in_their_mean(windows):
 def test_patterns_shift_a_centre_of_gravity_as_its_closed_form_says():
     """Independent pixel errors: variance prnu^2 sum (x - c)^2 e^2 / (sum e)^2; none of both, and nothing moves."""
     light = np.random.default_rng(2).uniform(10.0, 20.0, (2, 13, 13))
-    given = (get_centroider("cog", half_width_px=None), noiseless_stamps(light), TOLD, light)
+    given = (get_centroider("cog", half_width_px=None), noiseless_stamps(light), STATED, light)
     still = pattern_shifts_px(*given, prnu=0.0, offset_e=0.0, draws=3, rng=np.random.default_rng(3))
     assert np.all(still == 0.0)
     moved = pattern_shifts_px(*given, prnu=0.01, offset_e=0.0, draws=48, rng=np.random.default_rng(3))

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from star_images import gaussian_stars, noisy, stamps_of
+from star_images import gaussian_stars, noisy, sampled_stars, star_field
 
 from calib.flags import UNFIT, StarFlag, has_flag
 from calib.measure.centroiding.registry import get_centroider
@@ -20,10 +20,7 @@ def measured(noise):
     def measure(name, sigma_px, flux_e):
         if (name, sigma_px, flux_e) not in kept:
             rng = np.random.default_rng(round(100 * sigma_px))
-            x, y = 5.0 + rng.uniform(-0.5, 0.5, (2, STARS))
-            electrons = noisy(flux_e * gaussian_stars(x, y, sigma_px, height=11, width=11) + 4.0, 5.0, rng)
-            start = rng.normal(0.0, 0.1, (2, STARS))
-            stamps = stamps_of(electrons, x + start[0], y + start[1], background_e=4.0)
+            x, _, stamps = sampled_stars(lambda x, y: flux_e * gaussian_stars(x, y, sigma_px), rng, STARS, 4.0)
             table = get_centroider(name).measure(stamps, noise)
             good = np.isfinite(table.sigma_x_px)
             assert good.mean() > 0.98
@@ -67,8 +64,7 @@ def test_faint_stars_are_noise_and_carry_no_flag(measured):
 
 
 def test_the_flag_keeps_no_star_out_of_an_attitude_and_is_seen_on_use():
-    x, y = np.array([20.3, 40.1]), np.array([30.2, 12.4])
-    light = sum(1e5 * gaussian_stars([a], [b], 0.45, 64, 64)[0] for a, b in zip(x, y, strict=True))
+    light = star_field([20.3, 40.1], [30.2, 12.4], 1e5, 0.45, (64, 64))
     stars = find_stars(noisy(light + 100.0, 3.0, np.random.default_rng(1)))
     assert has_flag(stars.flags, StarFlag.PIXEL_PHASE).all()
     assert not has_flag(stars.flags, UNFIT).any()

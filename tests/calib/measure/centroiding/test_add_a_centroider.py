@@ -11,12 +11,11 @@ from typing import get_type_hints
 
 import numpy as np
 import pytest
-from scipy.special import erf
+from star_images import NOISE, SIZE, gaussian_stars, stamps_of
 
 import calib.measure.centroiders
 from calib.measure.centroiding import registry
 from calib.measure.centroiding.registry import get_centroider, list_centroiders
-from calib.records import NoiseModel, Stamps
 from experiments.harness.config import load_config
 from experiments.laboratory.bench.centroid_methods import MethodLabels
 from optics.errors import ConfigError, DomainError
@@ -26,8 +25,7 @@ PAGE = (ROOT / "docs" / "extending" / "add_a_centroider.md").read_text(encoding=
 FILE = Path(re.search(r"^`(calib/measure/centroiders/\w+\.py)`:$", PAGE, re.M)[1])
 SOURCE, LINE, SCRIPT = re.findall(r"```python\n(.*?)```", PAGE, re.S)
 COMMANDS = re.findall(r"^python -m experiments\.(\w+) (.*)$", PAGE, re.M)
-SIZE, SIGMA_PX, FLUX_E, SKY_E, READ_NOISE_E = 11, 0.7, 8000.0, 20.0, 6.0
-NOISE = NoiseModel(read_noise_e=READ_NOISE_E)
+FLUX_E, SKY_E = 8000.0, 20.0
 
 
 @pytest.fixture
@@ -44,40 +42,18 @@ def followed(tmp_path, monkeypatch):
         delattr(calib.measure.centroiders, FILE.stem)
 
 
-def drawn(x, y):
-    """Shares (n, SIZE, SIZE) of Gaussian stars in square pixels, by differences of the error function."""
-
-    def along(centre):
-        edge = np.arange(SIZE + 1) - 0.5 - np.asarray(centre)[:, None]
-        return 0.5 * np.diff(erf(edge / (np.sqrt(2.0) * SIGMA_PX)))
-
-    return along(y)[:, :, None] * along(x)[:, None, :]
-
-
-def windows(electrons, x, y, background_e=SKY_E):
-    n = len(electrons)
-    return Stamps(
-        electrons=electrons,
-        valid=np.ones(electrons.shape, bool),
-        corner_px=np.zeros((n, 2), np.int64),
-        background_e=np.full(n, background_e),
-        start_px=np.column_stack([np.rint(x), np.rint(y)]),
-        flags=np.zeros(n, np.uint32),
-        psf_index=np.zeros(n, np.int64),
-    )
-
-
 @pytest.mark.parametrize("harmonic", [1, 2])
 def test_places_are_right_at_every_phase_whatever_the_background(followed, harmonic):
     """Of the components beside the one used, sampling folds back less than 4e-4 of the next: 1e-3 px."""
     phase = SIZE // 2 + (np.arange(12) + 0.5) / 12 - 0.5
-    x, y = (one.ravel() for one in np.meshgrid(phase, phase))
-    electrons = FLUX_E * drawn(x, y) + SKY_E
+    x, y = (axis.ravel() for axis in np.meshgrid(phase, phase))
+    electrons = FLUX_E * gaussian_stars(x, y, 0.7) + SKY_E
+    start = np.rint(x), np.rint(y)
     measure = get_centroider(followed, harmonic=harmonic).measure
-    right = measure(windows(electrons, x, y), NOISE)
+    right = measure(stamps_of(electrons, *start, background_e=SKY_E), NOISE)
     assert np.abs(right.x_px - x).max() < 1e-3
     assert np.abs(right.y_px - y).max() < 1e-3
-    wrong = measure(windows(electrons, x, y, background_e=0.5 * SKY_E), NOISE)
+    wrong = measure(stamps_of(electrons, *start, background_e=0.5 * SKY_E), NOISE)
     assert wrong.x_px == pytest.approx(right.x_px, abs=1e-10)
 
 
@@ -90,10 +66,10 @@ def test_options_are_held_to_their_range_and_the_name_is_known(followed):
 
 
 def test_the_script_finds_its_star(followed):
-    said = io.StringIO()
-    with contextlib.redirect_stdout(said):
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
         exec(SCRIPT, {})  # the page's own words
-    x, y, sigma = (float(number) for number in re.findall(r"[\d.]+(?:e-?\d+)?", said.getvalue()))
+    x, y, sigma = (float(number) for number in re.findall(r"[\d.]+(?:e-?\d+)?", printed.getvalue()))
     assert abs(x - 40.25) < 5.0 * sigma < 0.1
     assert abs(y - 20.5) < 5.0 * sigma
 

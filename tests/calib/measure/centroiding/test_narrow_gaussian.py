@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from star_images import gaussian_stars, noisy, stamps_of
+from star_images import gaussian_stars, sampled_stars
 
 from calib.flags import StarFlag, has_flag
 from calib.measure.centroid_error.cramer_rao_bound import cramer_rao
@@ -17,9 +17,7 @@ def measured(noise):
 
     def measure(sigma_px, flux_e, count=N):
         rng = np.random.default_rng([round(1000 * sigma_px), int(flux_e)])
-        x, y = 5.0 + rng.uniform(-0.5, 0.5, (2, count))
-        electrons = noisy(flux_e * gaussian_stars(x, y, sigma_px) + 2.0, 5.0, rng)
-        stamps = stamps_of(electrons, *(np.stack([x, y]) + rng.normal(0.0, 0.1, (2, count))), background_e=2.0)
+        x, y, stamps = sampled_stars(lambda x, y: flux_e * gaussian_stars(x, y, sigma_px), rng, count, 2.0)
         return x, y, stamps, get_centroider("gaussian").measure(stamps, noise)
 
     return measure

@@ -2,26 +2,27 @@
 
 import numpy as np
 import pytest
-from star_images import gaussian_stars, noisy, stamps_of
+from star_images import NOISE, gaussian_stars, sampled_stars, stamps_of
 
 from calib.flags import StarFlag, has_flag
 from calib.measure.centroiding.registry import get_centroider
 from calib.measure.epsf.build import build_epsf
 from calib.measure.find import find_stars
 from calib.measure.images.sensor_image import sensor_image
-from calib.records import NoiseModel
 
-NOISE = NoiseModel(read_noise_e=5.0)
+SHARP = [(0.12, 0.25), (0.74, 0.68), (0.14, 2.2)]
+"""The PSF of eight real frames."""
+
+
+def mixture(x, y, components):
+    """Sums of pixel-integrated Gaussians (weight, sigma)."""
+    return sum(weight * gaussian_stars(x, y, sigma) for weight, sigma in components)
 
 
 def measured(components, flux_e, *, count=300, seed=1):
     """Pulls (2 n,) of Gaussian fits to sums of pixel-integrated Gaussians (weight, sigma), and the table."""
     rng = np.random.default_rng(seed)
-    x, y = rng.uniform(4.5, 5.5, (2, count))
-    light = sum(weight * gaussian_stars(x, y, sigma, 11, 11) for weight, sigma in components)
-    electrons = rng.poisson(flux_e * light + 100.0) + rng.normal(0.0, 5.0, light.shape)
-    start = np.column_stack([x, y]) + rng.normal(0.0, 0.1, (count, 2))
-    stamps = stamps_of(electrons, *start.T, background_e=100.0)
+    x, y, stamps = sampled_stars(lambda x, y: flux_e * mixture(x, y, components), rng, count, 100.0)
     table = get_centroider("gaussian", fit_background=True).measure(stamps, NOISE)
     return np.concatenate([(table.x_px - x) / table.sigma_x_px, (table.y_px - y) / table.sigma_y_px]), table
 
@@ -36,8 +37,7 @@ def test_pixel_integrated_gaussian_has_no_s_curve(sigma_px):
 
 @pytest.mark.parametrize("flux_e", [3e4, 3e5])
 def test_sharp_core_is_flagged(flux_e):
-    """The PSF of eight real frames as three Gaussians: 12 % core, 74 % of 0.68 px, 14 % of 2.2 px."""
-    pull, table = measured([(0.12, 0.25), (0.74, 0.68), (0.14, 2.2)], flux_e)
+    pull, table = measured(SHARP, flux_e)
     assert np.sqrt(np.mean(pull**2)) > 1.7
     assert has_flag(table.flags, StarFlag.PIXEL_PHASE).mean() > 0.95
     assert table.fit.mean() > 0.95
@@ -79,12 +79,8 @@ def test_frames_with_structure_stay_within_the_frame():
 def test_psf_of_known_places_has_no_s_curve():
     """Sharp cores, no dithers: without places the S-curve of the Gaussian fit stays; with them pulls are 1."""
     rng = np.random.default_rng(2)
-    x, y = rng.uniform(4.5, 5.5, (2, 300))
-    core = 0.12 * gaussian_stars(x, y, 0.25, 11, 11) + 0.74 * gaussian_stars(x, y, 0.68, 11, 11)
-    flux = 1e5 * 10 ** rng.uniform(-1.0, 0.0, 300)
-    expected = flux[:, None, None] * (core + 0.14 * gaussian_stars(x, y, 2.2, 11, 11)) + 100.0
-    start = np.column_stack([x, y]) + rng.normal(0.0, 0.1, (300, 2))
-    stamps = stamps_of(noisy(expected, 5.0, rng), *start.T, background_e=100.0)
+    flux = 1e5 * 10 ** rng.uniform(-1.0, 0.0, (300, 1, 1))
+    x, y, stamps = sampled_stars(lambda x, y: flux * mixture(x, y, SHARP), rng, 300, 100.0)
     held = build_epsf(stamps, NOISE, oversampling=4, roughness=0.1, position_px=np.column_stack([x, y]))
     free = build_epsf(stamps, NOISE, oversampling=4, roughness=0.1)
     pull = [np.std((found.stars.x_px - x) / found.stars.sigma_x_px) for found in (held, free)]
@@ -95,9 +91,6 @@ def test_psf_of_known_places_has_no_s_curve():
 
 
 def test_psf_says_why_it_did_not_converge():
-    rng = np.random.default_rng(3)
-    x, y = rng.uniform(4.5, 5.5, (2, 40))
-    light = noisy(1e4 * gaussian_stars(x, y, 0.6, 11, 11) + 100.0, 5.0, rng)
-    stamps = stamps_of(light, x, y, background_e=100.0)
+    _, _, stamps = sampled_stars(lambda x, y: 1e4 * gaussian_stars(x, y, 0.6), np.random.default_rng(3), 40, 100.0)
     found = build_epsf(stamps, NOISE, oversampling=2, max_iterations=1, tolerance=1e-6)
     assert "after 1 rounds: 40 stars for 4 phases" in found.message

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from star_images import stamps_of
 
 from calib.measure.epsf.field_interpolation import PsfBank
-from calib.records import NoiseModel, Stamps
+from calib.records import NoiseModel
 from render.records import EffectivePsf
 
 
@@ -38,17 +39,9 @@ def test_psf_between_its_nodes():
     x = (corner[:, 0, None] + grid)[:, None, :] - light[:, 0, None, None]
     y = (corner[:, 1, None] + grid)[:, :, None] - light[:, 1, None, None]
     sigma = (0.8 + 0.1 * u * v)[:, None, None]
-    stamps = Stamps(
-        electrons=1e5 * np.exp(-(x**2 + y**2) / (2 * sigma**2)),
-        valid=np.ones((count, window, window), bool),
-        corner_px=corner,
-        background_e=np.zeros(count),
-        start_px=true + rng.normal(0, 0.2, true.shape),
-        flags=np.zeros(count, np.uint32),
-        psf_index=np.zeros(count, np.int64),
-    )
-    table = bank.measure(stamps, NoiseModel(read_noise_e=1.0))
-    error = np.column_stack([table.x_px, table.y_px]) - true
+    start = (true - corner + rng.normal(0, 0.2, true.shape)).T
+    stamps = stamps_of(1e5 * np.exp(-(x**2 + y**2) / (2 * sigma**2)), *start, corner=corner)
+    error = bank.measure(stamps, NoiseModel(read_noise_e=1.0)).pixel_px - true
     # centres are quadratic in the field and interpolated as such; widths act on symmetric stars in second order only
     assert np.abs(error).max() < 1e-3
     nearest = np.abs(np.stack(shift(u, v), axis=1)).max()
