@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib.calibration.calibrate import calibrate
 from calib.calibration.observations import Observations
 from calib.cameras.base import SensorGeometry
 from calib.cameras.brown_conrady import BrownConrady
@@ -56,6 +57,10 @@ class Scene:
     def installation(self):
         return Rotation.from_matrix(document_matrix(self.theta_deg))
 
+    def calibrated(self, family, *, stars=None, start=START, **options):
+        """Calibration of the observations, or of other stars, from the start values of ACF17."""
+        return calibrate(self.observations if stars is None else stars, start, family, **options)
+
     def noisy(self, rng, sigma_px=0.05):
         """The same stars measured once more."""
         shift = rng.normal(0.0, sigma_px, self.exact_px.shape)
@@ -70,6 +75,12 @@ class Scene:
         to_sky = self.attitude.inv()[self.observations.frame[wrong]]
         direction[wrong] = to_sky.apply(place)
         return replace(self.observations, direction=direction), wrong
+
+
+def assert_same_covariance(found, expected, atol):
+    """Elements agree in units of the expected standard deviations."""
+    scale = np.sqrt(np.outer(np.diagonal(expected), np.diagonal(expected)))
+    np.testing.assert_allclose(found / scale, expected / scale, atol=atol)
 
 
 def body_turns(frames, rate_deg, *, single_axis=False):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from calibration_scene import PHI_DEG, THETA_DEG, body_turns, document_matrix
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.gyro_attitude import integrate_rates, integrate_rates_many, link_attitudes
@@ -137,10 +138,10 @@ def test_many_records_are_each_alone():
         assert (many * integrate_rates(time, rate, at).inv()).magnitude().max() < 1e-15
 
 
-def test_frames_linked_by_a_gyro(scenes):
+def test_frames_linked_by_a_gyro():
     """Eq. 6 with the matrices multiplied out."""
-    a, first = scenes.document_matrix(scenes.THETA_DEG), scenes.document_matrix(scenes.PHI_DEG)
-    turn = scenes.body_turns(5, 3.0)
+    a, first = document_matrix(THETA_DEG), document_matrix(PHI_DEG)
+    turn = body_turns(5, 3.0)
     linked = link_attitudes(Rotation.from_matrix(first), Rotation.from_matrix(a), Rotation.from_matrix(turn))
     for k in range(5):
         np.testing.assert_allclose(linked[k].as_matrix(), a @ turn[k] @ a.T @ first, atol=1e-14)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calibration_scene import CAMERA, GEOMETRY, START, make_scene
 
 from calib.calibration.calibrate import calibrate
 from calib.calibration.free_attitudes import FreeAttitudes
@@ -21,109 +22,109 @@ from calib.cameras.line_of_sight import line_of_sight_map
         (NoAttitude(), {"two_step": False}),
     ],
 )
-def test_exact_data_give_the_truth(scenes, family, options):
-    scene = scenes.make_scene(sigma_px=0.0)
-    found = calibrate(scene.observations, scenes.START, family, **options)
+def test_exact_data_give_the_truth(family, options):
+    scene = make_scene(sigma_px=0.0)
+    found = scene.calibrated(family, **options)
     assert found.converged
-    direction = scenes.CAMERA.unproject(scenes.GEOMETRY.grid_px(9))
-    np.testing.assert_allclose(found.model.project(direction), scenes.CAMERA.project(direction), atol=1e-5)
+    direction = CAMERA.unproject(GEOMETRY.grid_px(9))
+    np.testing.assert_allclose(found.model.project(direction), CAMERA.project(direction), atol=1e-5)
     assert (found.attitude * scene.attitude.inv()).magnitude().max() < 1e-7
     assert found.installation is None
 
 
-def test_full_weights_lose_nothing(scenes):
+def test_full_weights_lose_nothing():
     """The same information as a free attitude in every frame: same estimate, covariance, sum of squares."""
-    scene = scenes.make_scene(seed=4, frames=10, stars=15)
+    scene = make_scene(seed=4, frames=10, stars=15)
     few = scene.observations.select(np.random.default_rng(1).random(len(scene.observations)) < 0.7)  # 5 to 14 per frame
-    free = calibrate(few, scenes.START, FreeAttitudes()).solution
-    found = calibrate(few, scenes.START, NoAttitude(weighting="full")).solution
+    free = calibrate(few, START, FreeAttitudes()).solution
+    found = calibrate(few, START, NoAttitude(weighting="full")).solution
     assert np.abs((found.value - free.value) / free.sigma).max() < 0.02  # second order of the noise
     np.testing.assert_allclose(found.sigma, free.sigma, rtol=1e-3)
     assert found.chi2 == pytest.approx(free.chi2, rel=1e-3)
     assert found.degrees_of_freedom == free.degrees_of_freedom
 
 
-def test_two_stars_per_frame(scenes):
-    scene = scenes.make_scene(frames=40, stars=2)
-    free = calibrate(scene.observations, scenes.START, FreeAttitudes()).solution
-    found = calibrate(scene.observations, scenes.START, NoAttitude(weighting="full")).solution
+def test_two_stars_per_frame():
+    scene = make_scene(frames=40, stars=2)
+    free = scene.calibrated(FreeAttitudes()).solution
+    found = scene.calibrated(NoAttitude(weighting="full")).solution
     assert found.converged
     np.testing.assert_allclose(found.sigma, free.sigma, rtol=2e-2)
     assert np.abs((found.value - free.value) / free.sigma).max() < 0.2
 
 
-def test_unweighted_is_worse_and_says_by_how_much(scenes):
+def test_unweighted_is_worse_and_says_by_how_much():
     """40 realisations: the covariance with the correlations of pairs is right, the naive one would be too small."""
-    scene = scenes.make_scene(frames=8, stars=12)
+    scene = make_scene(frames=8, stars=12)
     rng = np.random.default_rng(7)
     pulls, excess = [], []
     for _ in range(40):
         observed = scene.noisy(rng)
-        found = calibrate(observed, scenes.CAMERA, NoAttitude(), two_step=False).solution
-        pulls.append(found.pulls(scenes.CAMERA.parameters))
+        found = calibrate(observed, CAMERA, NoAttitude(), two_step=False).solution
+        pulls.append(found.pulls(CAMERA.parameters))
         excess.append(found.sigma)
     assert np.all(np.abs(np.mean(np.square(pulls), axis=0) - 1.0) < 5 * np.sqrt(2.0 / 40))
-    free = calibrate(observed, scenes.CAMERA, FreeAttitudes()).solution.sigma
+    free = calibrate(observed, CAMERA, FreeAttitudes()).solution.sigma
     assert np.all(np.mean(excess, axis=0) > 1.05 * free)
 
 
 @pytest.mark.parametrize("weighting", ["none", "full"])
-def test_ten_percent_wrong_matches_are_survived(scenes, weighting):
-    scene = scenes.make_scene(frames=20, stars=25)
+def test_ten_percent_wrong_matches_are_survived(weighting):
+    scene = make_scene(frames=20, stars=25)
     observed, wrong = scene.with_wrong_matches(0.1, np.random.default_rng(3))
-    found = calibrate(observed, scenes.START, NoAttitude(weighting=weighting), loss="tukey")
+    found = calibrate(observed, START, NoAttitude(weighting=weighting), loss="tukey")
     assert found.converged
     assert f"{wrong.sum()} stars do not fit" in found.solution.message
     np.testing.assert_array_equal(found.used, ~wrong)
-    assert np.all(np.abs(found.solution.pulls(scenes.CAMERA.parameters)) < 5)
-    assert calibrate(observed, scenes.START, NoAttitude()).solution.status == "refused"
+    assert np.all(np.abs(found.solution.pulls(CAMERA.parameters)) < 5)
+    assert calibrate(observed, START, NoAttitude()).solution.status == "refused"
 
 
 @pytest.mark.parametrize("shift_px", [(0.8, 0.5), (3.0, 2.0)], ids=["16 sigma", "60 sigma"])
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_thirty_percent_of_stars_shifted_alike_are_survived(scenes, seed, shift_px):
+def test_thirty_percent_of_stars_shifted_alike_are_survived(seed, shift_px):
     """A common shift is the worst case: a fit between both groups makes all residuals large and none an outlier.
 
     The map must be as wrong as it states: RMS over the detector below 3 times the predicted one. It was 10 times.
     """
-    scene = scenes.make_scene(seed=seed, frames=20, stars=25)
+    scene = make_scene(seed=seed, frames=20, stars=25)
     wrong = np.random.default_rng(seed).random(len(scene.observations)) < 0.3
     moved = scene.observations.pixel_px + wrong[:, None] * np.array(shift_px)
-    found = calibrate(replace(scene.observations, pixel_px=moved), scenes.START, NoAttitude(), loss="tukey")
+    found = calibrate(replace(scene.observations, pixel_px=moved), START, NoAttitude(), loss="tukey")
     assert found.converged
     assert not found.used[wrong].any()
-    grid = scenes.GEOMETRY.grid_px(7)
-    line = line_of_sight_map(found.model, scenes.CAMERA.unproject(grid), grid, covariance=found.covariance)
+    grid = GEOMETRY.grid_px(7)
+    line = line_of_sight_map(found.model, CAMERA.unproject(grid), grid, covariance=found.covariance)
     assert line.rms_arcsec < 3.0 * line.predicted_rms_arcsec
 
 
-def test_sixty_percent_wrong_matches_are_refused(scenes):
-    scene = scenes.make_scene(frames=12, stars=25)
+def test_sixty_percent_wrong_matches_are_refused():
+    scene = make_scene(frames=12, stars=25)
     observed, _ = scene.with_wrong_matches(0.6, np.random.default_rng(3))
-    found = calibrate(observed, scenes.START, NoAttitude(), loss="tukey").solution
+    found = calibrate(observed, START, NoAttitude(), loss="tukey").solution
     assert found.status == "refused"
     assert "wrong" in found.message
 
 
-def test_too_few_stars(scenes):
-    scene = scenes.make_scene(frames=8, stars=2)
-    found = calibrate(scene.observations, scenes.START, NoAttitude()).solution
+def test_too_few_stars():
+    scene = make_scene(frames=8, stars=2)
+    found = scene.calibrated(NoAttitude()).solution
     assert found.status == "refused"
     assert "8 independent measurements for 8 unknowns" in found.message
-    alone = scenes.make_scene(frames=30, stars=1)
-    found = calibrate(alone.observations, scenes.START, NoAttitude()).solution
+    alone = make_scene(frames=30, stars=1)
+    found = calibrate(alone.observations, START, NoAttitude()).solution
     assert found.status == "refused"
     assert "0 independent measurements" in found.message
 
 
 @pytest.mark.parametrize("family", [NoAttitude(), NoAttitude(weighting="full"), FreeAttitudes()])
-def test_parameters_of_a_band_without_stars_are_unknown_and_the_others_are_not(scenes, family):
-    scene = scenes.make_scene(frames=10, stars=15)
-    start = PerBand.create(scenes.GEOMETRY, focal_length_mm=[25.0, 25.0], x0_px=[0.0, 0.0], y0_px=[0.0, 0.0])
+def test_parameters_of_a_band_without_stars_are_unknown_and_the_others_are_not(family):
+    scene = make_scene(frames=10, stars=15)
+    start = PerBand.create(GEOMETRY, focal_length_mm=[25.0, 25.0], x0_px=[0.0, 0.0], y0_px=[0.0, 0.0])
     found = calibrate(scene.observations, start, family).solution
     assert found.status == "singular"
     unknown = np.isinf(found.sigma)
     assert [name for name, lost in zip(found.names, unknown, strict=True) if lost] == list(start.parameter_names[3:6])
     assert all(name in found.message for name in start.parameter_names[3:6])
-    one_band = calibrate(scene.observations, scenes.START, family).solution
+    one_band = scene.calibrated(family).solution
     np.testing.assert_allclose(found.sigma[~unknown], one_band.sigma, rtol=1e-3)

@@ -4,6 +4,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from calibration_scene import CAMERA, make_scene
 
 from calib.calibration.interstar_pairs import PairProblem, StarFrames, WeightedPairProblem, pair_covariance
 from calib.cameras.base import unproject_jacobian
@@ -26,10 +27,10 @@ def written_out(scene, model):
     return np.array(y), np.array(rows), np.array(noise)
 
 
-def test_closed_forms_against_loops(scenes):
+def test_closed_forms_against_loops():
     """Normal matrix, gradient, covariance and weighted residuals of 4 frames of 7 stars, pair by pair."""
-    scene = scenes.make_scene(frames=4, stars=7)
-    model = scenes.CAMERA.with_parameters(scenes.CAMERA.parameters * 1.001)
+    scene = make_scene(frames=4, stars=7)
+    model = CAMERA.with_parameters(CAMERA.parameters * 1.001)
     y, rows, noise = written_out(scene, model)
     number = np.zeros((7, 7), int)
     number[np.triu_indices(7, 1)] = np.arange(21)

@@ -2,28 +2,18 @@
 
 import numpy as np
 import pytest
+from calibration_scene import CAMERA, GEOMETRY
 
-from calib.cameras import BrownConrady, SensorGeometry
+from calib.cameras import BrownConrady
 
-GEOMETRY = SensorGeometry(width_px=1024, height_px=768, pixel_pitch_mm=0.01)
-VALUES = {
-    "focal_length_mm": 25.6,
-    "x0_px": 10.0,
-    "y0_px": -7.0,
-    "q1_per_mm2": 2e-4,
-    "q2_per_mm4": -4e-7,
-    "q3_per_mm6": 1e-8,
-    "p1_per_mm": 2e-4,
-    "p2_per_mm": -5e-4,
-}
+UNEQUAL = CAMERA.with_parameters([*CAMERA.parameters[:7], -5e-4])  # p1 and p2 differ
 
 
 @pytest.mark.reference
 @pytest.mark.parametrize("scale", [1.0, 10.0])
 def test_projection_and_derivatives_agree_with_opencv(scale):
     cv2 = pytest.importorskip("cv2")
-    distorted = {k: v * scale for k, v in VALUES.items() if k[0] in "qp"}
-    camera = BrownConrady.create(GEOMETRY, **{**VALUES, **distorted})
+    camera = UNEQUAL.with_parameters(UNEQUAL.parameters * np.repeat([1.0, scale], [3, 5]))
     ideal = BrownConrady.create(GEOMETRY, focal_length_mm=25.6)
     direction = ideal.unproject(GEOMETRY.grid_px(12))
     matrix, coefficients = camera.to_opencv()
@@ -42,7 +32,7 @@ def test_projection_and_derivatives_agree_with_opencv(scale):
 
 
 def test_opencv_coefficients_there_and_back():
-    camera = BrownConrady.create(GEOMETRY, **VALUES)
+    camera = UNEQUAL
     matrix, coefficients = camera.to_opencv()
     again = BrownConrady.from_opencv(GEOMETRY, matrix, coefficients)
     np.testing.assert_allclose(again.parameters, camera.parameters, rtol=1e-12, atol=1e-12)

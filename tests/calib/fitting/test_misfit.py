@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calibration_scene import CAMERA, make_scene
 from scipy.stats import chi2
 
 from calib import AttitudeCorrelated, FreeAttitudes, NoAttitude, calibrate
@@ -36,9 +37,9 @@ def test_nothing_is_said_where_nothing_is_tested():
 
 @pytest.mark.parametrize("wrong", [0.1, 1.0, 10.0])
 @pytest.mark.parametrize("method", ["free", "linked", "angles", "weighted angles", "robust", "robust angles"])
-def test_calibrations_say_that_the_stated_noise_is_wrong(scenes, method, wrong):
+def test_calibrations_say_that_the_stated_noise_is_wrong(method, wrong):
     """Stars scatter by 0.05 px and are said to scatter by 0.05 px times a factor."""
-    scene = scenes.make_scene(frames=12, stars=15)
+    scene = make_scene(frames=12, stars=15)
     stars = scene.noisy(np.random.default_rng(2))
     stars = replace(stars, covariance_px2=stars.covariance_px2 * wrong**2)
     family = {
@@ -50,7 +51,7 @@ def test_calibrations_say_that_the_stated_noise_is_wrong(scenes, method, wrong):
         "weighted angles": NoAttitude(weighting="full"),
     }[method]
     loss = "tukey" if method.startswith("robust") else "linear"
-    solution = calibrate(stars, scenes.CAMERA, family, loss=loss).solution
+    solution = calibrate(stars, CAMERA, family, loss=loss).solution
     text = f"{solution.message} {solution!r}"
     if wrong == 1.0:
         assert solution.converged
