@@ -60,7 +60,7 @@ reference_nm = {middle}
 """
 RAYS = 'diffraction = "rays"'  # spots of many radii of the Airy disk
 FISHEYE = """name = "fisheye"
-source = "two menisci and a singlet, tests/optics/rays/test_aim.py, with glasses of Schott"
+source = "two menisci and a singlet, tests/optics/rays/test_ray_aiming.py, with glasses of Schott"
 design_wavelength_nm = 600.0
 max_field_deg = 55.0
 """

@@ -124,19 +124,10 @@ def write_pst(path: str | Path, pst: PointSourceTransmittance) -> Path:
 def read_pst(path: str | Path) -> PointSourceTransmittance:
     """Read a table of `write_pst`, or one of the user.
 
-    Parameters
-    ----------
-    path : path
-        CSV or ECSV with the columns ``angle_deg`` and one per cause (``pst`` will do), each with ``NAME_error`` if
-        known; ``azimuth_deg`` may be left out. Every azimuth has the same angles. ``total`` in addition to others is
-        not read.
-
-    Raises
-    ------
-    ConfigError
-        No such file, columns that are missing or hold no numbers, a grid that is not full.
-    DomainError
-        As `PointSourceTransmittance`.
+    CSV or ECSV with the columns ``angle_deg`` and one per cause (``pst`` will do), each with ``NAME_error`` if known;
+    ``azimuth_deg`` may be left out. Every azimuth has the same angles. ``total`` in addition to others is not read.
+    `ConfigError`: no such file, columns that are missing or hold no numbers, a grid that is not full; `DomainError` as
+    `PointSourceTransmittance`.
     """
     try:
         text = Path(path).read_text(encoding="utf-8")

@@ -40,10 +40,21 @@ class DistortionMap:
 
 
 def plate_scale_mm(lens: LensSystem, wavelength_nm: float | None = None) -> float:
-    """Plate scale [mm]: chief-ray displacement per tan(field) at field 0, mean of x and y.
+    """Plate scale: chief-ray displacement per tan(field) at field 0, mean of x and y.
 
-    Equal to the paraxial focal length only if the image plane is the paraxial focal plane. Default: design wavelength;
-    errors as `optics.rays.chief_ray.chief_ray_points`.
+    Equal to the paraxial focal length only if the image plane is the paraxial focal plane.
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+    wavelength_nm : float, optional
+        Wavelength; the design wavelength if left out.
+
+    Returns
+    -------
+    float
+        Focal length [mm]; errors as `optics.rays.chief_ray.chief_ray_points`.
     """
     step = lens.max_field_deg / 100.0
     x, y = chief_ray_points(lens, [step, -step, 0.0, 0.0], [0.0, 0.0, step, -step], wavelength_nm)

@@ -35,19 +35,10 @@ class Photocentres:
 
 
 def photocentres_of(spots: SpotMoments, spectrum: ArrayLike) -> Photocentres:
-    """Photocentres from the moments of traced bundles.
+    """Photocentres from the moments of traced bundles of f fields at w wavelengths.
 
-    Parameters
-    ----------
-    spots : SpotMoments
-        Bundles of f fields at w wavelengths.
-    spectrum : (s, w)
-        Detected photons of each spectrum at these wavelengths, in any unit; 0 where a spectrum has none.
-
-    Raises
-    ------
-    DomainError
-        A spectrum of another shape, negative, or without light.
+    ``spectrum`` (s, w): detected photons of each spectrum at these wavelengths, in any unit, 0 where a spectrum has
+    none; `DomainError` for another shape, negative values, or no light.
     """
     weight = np.atleast_2d(np.asarray(spectrum, float))
     if weight.ndim != 2 or weight.shape[1] != spots.x_mm.shape[1]:

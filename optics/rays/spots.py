@@ -227,7 +227,10 @@ def spot_moments(
 ) -> SpotMoments:
     """Mean, covariance and transmitted area of the ray bundles of stars.
 
-    Parameters and errors as `trace_spots`.
+    Parameters
+    ----------
+    lens, field_x_deg, field_y_deg, wavelength_nm, samples, order, collimation
+        As of `trace_spots`, whose errors are raised.
 
     Returns
     -------

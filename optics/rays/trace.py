@@ -255,10 +255,8 @@ def trace(lens: LensSystem, rays: Rays, visit: Visitor | None = None) -> Rays:
     ----------
     lens : LensSystem
         The lens.
-    rays : Rays
-        In the lens frame (`Rays.create`).
-    visit : callable, optional
-        See `Visitor`.
+    rays, visit
+        As of `trace_program`.
 
     Returns
     -------

@@ -44,9 +44,19 @@ def vignetting(
 
 
 def collecting_area_mm2(lens: LensSystem, wavelength_nm: float | None = None) -> float:
-    """Cross-section [mm^2] of the on-axis beam that reaches the image (default: design wavelength).
+    """Cross-section of the on-axis beam that reaches the image.
 
-    `ConvergenceError` if no ray arrives.
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+    wavelength_nm : float, optional
+        Wavelength; the design wavelength if left out.
+
+    Returns
+    -------
+    float
+        Area [mm^2]; errors as `optics.rays.spots.trace_spots`.
     """
     wave = lens.design_wavelength_nm if wavelength_nm is None else wavelength_nm
     return float(spot_moments(lens, 0.0, 0.0, wave).transmitted_mm2[0, 0])

@@ -21,12 +21,7 @@ def configured_coating(config: BaffleConfig) -> BlackCoating:
 def configured_baffle(config: BaffleConfig, *, entrance_mm: float, field_deg: float) -> VanedBaffle | Mesh | None:
     """The baffle in front of an entrance (radius) and a field (half angle); None for a bare lens.
 
-    Raises
-    ------
-    DomainError
-        A baffle that cannot be built.
-    ConfigError
-        A mesh that cannot be read.
+    `DomainError` for a baffle that cannot be built, `ConfigError` for a mesh that cannot be read.
     """
     if not config.fitted:
         return None

@@ -58,39 +58,9 @@ def mask_windows(
 ) -> tuple[FloatArray, NDArray[np.int64]]:
     """Windows around the spots of an aperture-mask sun sensor, averaged over frames.
 
-    Parameters
-    ----------
-    sensor : MaskSensor
-        The sensor.
-    sun : (n, 3)
-        Unit vectors towards the Sun in the sensor frame.
-    detector : Detector
-        Its detector.
-    window_px : int
-        Side of a window, centred on the spot by geometry.
-    half_angle_rad : float
-        Angular radius of the Sun.
-    plateau_e : float
-        Electrons per pixel in the full light.
-    frames : int
-        Frames that are averaged.
-    exposure_s : float
-        Exposure time.
-    log2_particles : int
-        Particles per spot.
-    streams : Streams
-        Randomness.
-
-    Returns
-    -------
-    electrons : (n, window, window)
-    corner : (n, 2) int
-        First column and row of each window.
-
-    Raises
-    ------
-    DomainError
-        If a window leaves the detector.
+    Suns at unit vectors (n, 3) in the sensor frame, of angular radius ``half_angle_rad`` and ``plateau_e`` electrons
+    per pixel in the full light; windows of ``window_px`` pixels are centred on the spots by geometry. Returns electrons
+    (n, window, window), and the first column and row (n, 2) of each window; `DomainError` if one leaves the detector.
     """
     corner = np.rint(sensor.spot_px(sun)).astype(np.int64) - window_px // 2
     limit = np.array([sensor.width_px, sensor.height_px]) - window_px

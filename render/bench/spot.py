@@ -41,26 +41,12 @@ def landing_points_px(
 ) -> tuple[FloatArray, FloatArray, float]:
     """Landing points of the particles of a net about the middle of a concentric spot, without a scene.
 
+    Radii of the hole that the light passes and of the image of the Sun after the path; 2^log2_particles particles under
+    a digital shift (`render.bench.trace.trace_screen`). Returns x, y (n,) of the particles that pass the hole [px], and
+    particles per px^2 of the hole.
+
     To first order particles add the sum of a measurement's response over the landing points of a Sobol net, scrambled
     anew each time; it is about a quarter of that of independent particles.
-
-    Parameters
-    ----------
-    hole_px : float
-        Radius of the hole that the light passes.
-    sun_px : float
-        Radius of the Sun's image after the path.
-    log2_particles : int
-        Particles, as of `render.bench.trace.trace_screen`.
-    seed : int
-        Digital shift of the net.
-
-    Returns
-    -------
-    x, y : (n,)
-        Landing points of the particles that pass the hole [px].
-    per_px : float
-        Particles per px^2 of the hole.
     """
     u = _shifted(sobol_net(log2_particles), seed)
     radius, angle = OVERSCAN * hole_px * np.sqrt(u[:, 0]), 2 * np.pi * u[:, 1]
@@ -81,18 +67,9 @@ def mask_spot_variance_px2(
 ) -> float:
     """Variance of a sun sensor's spots by the number of their particles, each in the pixel that it falls into.
 
-    The Sun's width, wider by 1 / cos^2 along the slant and 1 / cos across, halves what the net's evenness saves.
-
-    Parameters
-    ----------
-    hole_px, sun_px : float
-        Radii of the hole, and of the Sun's image behind it on the axis.
-    cosine : (n,)
-        Cosines of the spots' angles from the axis.
-    log2_particles : int
-        Particles of a spot.
-    nets : int
-        Nets that the mean is taken over.
+    Radii of the hole, and of the image of the Sun behind it on the axis; cosines (n,) of the angles of the spots from
+    the axis; mean over ``nets``. The width of the Sun, wider by 1 / cos^2 along the slant and 1 / cos across, halves
+    the gain of the net's evenness.
     """
     suns = len(cosine)
     net = sobol_net(log2_particles + int(np.ceil(np.log2(suns))))[:, : suns << log2_particles]
