@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import shutil
 import tarfile
 
 import numpy as np
@@ -12,39 +13,24 @@ from PIL import Image
 
 from experiments.dataset.exports import export_coco, export_shards
 from experiments.dataset.folder import StorageError
-from experiments.dataset.job import Job, make_frame
 from experiments.dataset.labels import CLASSES
-from experiments.dataset.settings import ConePointing, DatasetConfig, VerifyConfig
-from experiments.dataset.truth_files import read_table
+from experiments.dataset.truth_files import read_record, read_table
 from render.fits.files import read_frame
-from render.sensor_file.tables import CatalogueConfig, InstrumentConfig
 
 ABOUT = {"title": "", "version": "", "licence": "", "licence_url": "", "citation": ""}
 
 
-@pytest.fixture(scope="module")
-def dataset(engine, tmp_path_factory):
-    """(folder, records) of two frames of the Pleiades."""
-    folder = tmp_path_factory.mktemp("exports")
-    for name in ("frames", "truth"):
-        (folder / name).mkdir()
-    config = DatasetConfig(
-        instrument=InstrumentConfig(detector="cmv4000", exposure_s=0.2, width_px=192, height_px=128),
-        nodes=3,
-        catalogue=CatalogueConfig(faintest_mag=10.0),
-        pointing=ConePointing(ra_deg=56.75, dec_deg=24.12, radius_deg=0.1),
-        verify=VerifyConfig(frames=0),
-    )
-    job = Job(config=config.model_dump_json(), folder=str(folder), backend="llvm")
-    return folder, [make_frame(job, frame) for frame in (0, 1)]
+@pytest.fixture
+def records(dataset):
+    return [read_record(file) for file in sorted((dataset / "truth").iterdir())]
 
 
-def test_coco(dataset):
-    folder, records = dataset
+def test_coco(dataset, records, tmp_path):
+    folder = shutil.copytree(dataset, tmp_path / "copy")
     seen = []
     options = {"diffusion_px": 0.3, "bits": 16, "about": ABOUT}
     said = export_coco(folder, records, labels=lambda _: [], done=lambda: seen.append(1), **options)
-    assert len(seen) == 2
+    assert len(seen) == 3
     parts = {split: _coco(folder, split) for split in ("train", "validation", "test")}
     images = [image for part in parts.values() for image in part["images"]]
     stars = [star for part in parts.values() for star in part["annotations"]]
@@ -68,9 +54,9 @@ def _coco(folder, split):
     return content
 
 
-def test_shards(dataset):
+def test_shards(dataset, records, tmp_path):
     pytest.importorskip("webdataset")
-    folder, records = dataset
+    folder = shutil.copytree(dataset, tmp_path / "copy")
     export_shards(folder, records, done=lambda: None)
     shards = sorted((folder / "webdataset").iterdir())
     assert {shard.name for shard in shards} == {f"{one.split}-000000.tar" for one in records}
@@ -87,9 +73,9 @@ def test_shards(dataset):
     assert {shard.name: shard.read_bytes() for shard in shards} == first  # no time, no user in it
 
 
-def test_a_full_disk_leaves_no_half_shard(dataset, monkeypatch):
+def test_a_full_disk_leaves_no_half_shard(dataset, records, tmp_path, monkeypatch):
     webdataset = pytest.importorskip("webdataset")
-    folder, records = dataset
+    folder = shutil.copytree(dataset, tmp_path / "copy")
 
     def full(self, sample):
         raise OSError(28, "No space left on device")

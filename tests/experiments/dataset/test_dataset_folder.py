@@ -15,55 +15,18 @@ import pyarrow.parquet as pq
 import pytest
 from astropy.io import fits
 from astropy.table import Table
+from pleiades_frames import digests, run
 
 from experiments.dataset import folder as storage
 from experiments.dataset.folder import DatasetFolder, check
 from experiments.dataset.job import Job, make_frame, prepare
 from experiments.dataset.plan import plan_frame
-from experiments.dataset.settings import DatasetConfig, main
+from experiments.dataset.settings import main
 from experiments.dataset.truth_files import read_record, truth_bytes
 from experiments.harness.progress import Progress
 from optics.errors import ConfigError
 
-PLEIADES = (
-    "instrument.lens=star_camera_206mm instrument.width_px=192 instrument.height_px=128 nodes=3 verify.frames=0 "
-    "catalogue.faintest_mag=10 pointing.kind=cone pointing.ra_deg=56.75 pointing.dec_deg=24.12 pointing.radius_deg=0.1"
-)
-SMALL = [*(word for setting in PLEIADES.split() for word in ("--set", setting)), "--workers", "1"]
-
-
 VERIFIED = ("--set", "verify.frames=1", "--set", "verify.dark_frames=4")
-
-
-def run(folder, *more, frames=3):
-    return main([*SMALL, "--frames", str(frames), "--out", str(folder), *more])
-
-
-def data(folder):
-    """Digest of every frame and truth file."""
-    files = [*(folder / "frames").iterdir(), *(folder / "truth").iterdir()]
-    return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in sorted(files)}
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory):
-    """Three frames, made in one go."""
-    folder = tmp_path_factory.mktemp("dataset") / "one"
-    assert run(folder, *VERIFIED) == 0
-    return folder
-
-
-@pytest.fixture(scope="module")
-def job(dataset):
-    """The same dataset as a worker sees it."""
-    return lambda folder: Job(
-        config=DatasetConfig.model_validate(settings_of(dataset)).model_dump_json(), folder=str(folder), backend="llvm"
-    )
-
-
-def settings_of(folder):
-    """Configuration of a dataset."""
-    return json.loads((folder / "dataset.json").read_text())["config"]
 
 
 def test_everything_is_there(dataset, monkeypatch):
@@ -71,7 +34,9 @@ def test_everything_is_there(dataset, monkeypatch):
     assert {"README.md", "contact_sheet.png", "dataset.json", "frames", "index.parquet", "truth"} <= names
     assert {"report.html", "summary.json", "provenance.json", "completeness.ecsv", "solver.ecsv"} <= names
     assert not [name for name in names if name.startswith(".")]
-    assert sorted(data(dataset)) == sorted(f"frame_00000{k}.{form}" for k in range(3) for form in ("fits", "parquet"))
+    assert sorted(digests(dataset)) == sorted(
+        f"frame_00000{k}.{form}" for k in range(3) for form in ("fits", "parquet")
+    )
     text = (dataset / "README.md").read_text()
     assert "ESA" in text
     assert "CC BY-SA" in text
@@ -106,8 +71,8 @@ def test_layers_are_files_that_add_up_to_the_light(tmp_path):
     ghosts = found["GHOSTS"].sum(dtype=float)
     assert 0.0 < ghosts < 1.01 * sum(ghost.electrons for ghost in record.ghosts)
     assert {ghost.source for ghost in record.ghosts} <= {str(one) for one in truth["star_id"]}
-    text = DatasetConfig.model_validate(settings_of(tmp_path / "one")).model_dump_json()
-    job = Job(config=text, folder=str(tmp_path / "one"), backend="llvm")
+    config = json.loads((tmp_path / "one" / "dataset.json").read_text())["config"]
+    job = Job(config=json.dumps(config), folder=str(tmp_path / "one"), backend="llvm")
     maker = prepare(job)[0]
     light = maker.scene.simulator.expected(plan_frame(maker.scene.plan, 0).attitude).electrons
     parts = sum(image for name, image in found.items() if name != "DARK")
@@ -115,13 +80,29 @@ def test_layers_are_files_that_add_up_to_the_light(tmp_path):
     assert "  layers/frame_000000.fits\n" in (tmp_path / "one" / "SHA256SUMS").read_text()
     assert "`GHOSTS`" in (tmp_path / "one" / "README.md").read_text()
     layers = tmp_path / "one" / "layers" / "frame_000000.fits"
-    kept, written = data(tmp_path / "one"), layers.read_bytes()
+    kept, written = digests(tmp_path / "one"), layers.read_bytes()
     layers.unlink()
     state = check(tmp_path / "one", Progress())
     assert (state.missing, state.frames) == (("layers/frame_000000.fits",), (0,))
     make_frame(job, 0)
-    assert data(tmp_path / "one") == kept
+    assert digests(tmp_path / "one") == kept
     assert layers.read_bytes() == written
+
+
+def test_layers_of_a_frame_add_up_to_its_light(job, tmp_path):
+    """A file of layers that is damaged is rendered again, with the same bytes."""
+    for name in ("frames", "truth"):
+        (tmp_path / name).mkdir()
+    with_layers = job(tmp_path, files={"layers": True})
+    record = make_frame(with_layers, 1)
+    with fits.open(tmp_path / "layers" / "frame_000001.fits", checksum=True) as content:
+        layers = {unit.name: np.array(unit.data) for unit in content[1:]}
+    scene = prepare(with_layers)[0].scene
+    light = scene.simulator.expected(plan_frame(scene.plan, 1).attitude).electrons
+    np.testing.assert_allclose(sum(image for name, image in layers.items() if name != "DARK"), light, rtol=1e-5)
+    assert make_frame(with_layers, 1) == record  # it is there
+    (tmp_path / "layers" / "frame_000001.fits").write_bytes(b"")
+    assert make_frame(with_layers, 1) == record
 
 
 def test_a_frame_made_alone_in_another_order_is_the_same(dataset, job, tmp_path):
@@ -129,9 +110,9 @@ def test_a_frame_made_alone_in_another_order_is_the_same(dataset, job, tmp_path)
         (tmp_path / name).mkdir()
     for frame in (2, 0):
         make_frame(job(tmp_path), frame)
-    made = data(tmp_path)
+    made = digests(tmp_path)
     assert len(made) == 4
-    assert made.items() <= data(dataset).items()
+    assert made.items() <= digests(dataset).items()
 
 
 @pytest.mark.slow
@@ -153,7 +134,7 @@ def test_what_is_missing_or_damaged_is_made_again(dataset, tmp_path):
     for name in closing:
         (folder / name).unlink()
     assert run(folder, *VERIFIED) == 0
-    assert data(folder) == data(dataset)
+    assert digests(folder) == digests(dataset)
     assert all(file.exists() for file in mine)  # only temporary files of our own were cleared away
     assert json.loads((folder / "summary.json").read_text())["results"]["frames"]["frames_made"]["value"] == 3
     for name in closing:
@@ -169,12 +150,12 @@ def test_what_is_missing_or_damaged_is_made_again(dataset, tmp_path):
     ],
 )
 def test_another_dataset_in_the_folder_is_refused(dataset, capsys, more, frames, said):
-    before = data(dataset)
+    before = digests(dataset)
     assert run(dataset, *more, frames=frames) == 2
     error = capsys.readouterr().err
     assert said in error
     assert error.count("\n") == 1
-    assert data(dataset) == before
+    assert digests(dataset) == before
 
 
 @pytest.mark.slow
@@ -238,9 +219,9 @@ def test_a_full_disk_keeps_what_was_made(dataset, tmp_path, monkeypatch, capsys)
     assert error.count("\n") == 1
     assert not [file for file in folder.rglob(".*") if file.is_file()]
     assert not (folder / "index.parquet").exists()
-    whole = {name: digest for name, digest in data(folder).items() if name != "frame_000001.fits"}
+    whole = {name: digest for name, digest in digests(folder).items() if name != "frame_000001.fits"}
     assert len(whole) == 2
-    assert whole.items() <= data(dataset).items()
+    assert whole.items() <= digests(dataset).items()
 
 
 def test_ecsv_says_the_same(dataset, tmp_path):
@@ -322,7 +303,7 @@ def test_check_names_what_is_damaged_and_what_is_made_again(dataset, tmp_path, c
     assert run(folder) == 0
     assert "damaged frames are rendered again: 1, 2" in capsys.readouterr().err
     assert main(["check", str(folder)]) == 0
-    assert data(folder) == data(dataset)
+    assert digests(folder) == digests(dataset)
     assert (folder / "notes.txt").read_text() == "mine"
     assert main(["check", str(tmp_path / "none")]) == 2
     (folder / "SHA256SUMS").unlink()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import os
 import re
@@ -15,21 +14,17 @@ import time
 from pathlib import Path
 
 import pytest
+from pleiades_frames import OPTIONS, digests, results
 
 pytestmark = [pytest.mark.slow, pytest.mark.alone]
 
 ROOT = Path(__file__).parents[3]
 FRAMES = 60
-PLEIADES = (
-    "instrument.lens=star_camera_206mm instrument.width_px=192 instrument.height_px=128 nodes=3 verify.frames=0 "
-    "catalogue.faintest_mag=10 pointing.kind=cone pointing.ra_deg=56.75 pointing.dec_deg=24.12 pointing.radius_deg=0.1"
-)
-SMALL = [*(word for setting in PLEIADES.split() for word in ("--set", setting)), "--backend", "llvm"]
 
 
 def command(folder, *more, workers=1, frames=FRAMES):
     return [
-        *(sys.executable, "-m", "experiments.dataset", *SMALL, "--out", str(folder)),
+        *(sys.executable, "-m", "experiments.dataset", *OPTIONS, "--backend", "llvm", "--out", str(folder)),
         *("--frames", str(frames), "--workers", str(workers), *more),
     ]
 
@@ -38,17 +33,6 @@ def start(*arguments, **settings):
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "cwd": ROOT}
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     return subprocess.Popen(command(*arguments, **settings), env=environment, start_new_session=True, **pipes)
-
-
-def data(folder):
-    """Digest of every frame and truth file."""
-    files = [*(folder / "frames").iterdir(), *(folder / "truth").iterdir()]
-    return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in sorted(files)}
-
-
-def results(folder):
-    frames = json.loads((folder / "summary.json").read_text())["results"]["frames"]
-    return {name: number["value"] for name, number in frames.items() if "value" in number}
 
 
 def end_well(process):
@@ -82,10 +66,10 @@ def test_killed_at_any_moment_and_taken_up_again(dataset, tmp_path):
         process.kill()
         process.communicate()
         assert not (folder / "index.parquet").exists()
-        made = {name: digest for name, digest in data(folder).items() if not name.startswith(".")}
-        assert made.items() <= data(dataset).items()  # what bears a frame's name is that frame
+        made = {name: digest for name, digest in digests(folder).items() if not name.startswith(".")}
+        assert made.items() <= digests(dataset).items()  # what bears a frame's name is that frame
     end_well(start(folder))
-    assert data(folder) == data(dataset)
+    assert digests(folder) == digests(dataset)
     assert 0 < results(folder)["frames_made"] <= FRAMES - 30
     assert (folder / "index.parquet").read_bytes() == (dataset / "index.parquet").read_bytes()
 
@@ -99,7 +83,7 @@ def test_a_worker_killed_in_the_middle(dataset, tmp_path):
     assert len(workers) == 2
     os.kill(workers[0], signal.SIGKILL)
     assert end_well(process) == ""
-    assert data(folder) == data(dataset)
+    assert digests(folder) == digests(dataset)
     assert results(folder)["workers"] == 2
     assert results(folder)["frames_made"] == FRAMES
 
@@ -125,7 +109,7 @@ def test_everything_killed_with_workers(dataset, tmp_path):
         assert time.monotonic() < until
         time.sleep(0.05)
     end_well(start(folder))
-    assert data(folder) == data(dataset)
+    assert digests(folder) == digests(dataset)
 
 
 @pytest.mark.parametrize(("workers", "frames"), [(1, 5), (2, 5), (2, 0)])
@@ -164,12 +148,12 @@ def test_a_disk_that_is_really_full(tmp_path):
     assert "status 2" in done.stdout, done.stderr
     assert "the disk is full" in done.stderr
     assert done.stderr.count("\n") == 1
-    made = data(kept)
+    made = digests(kept)
     truths = [name for name in made if name.endswith(".parquet")]
     assert 5 < len(truths) < FRAMES
     assert f"{len(truths)} of 60 frames are complete and kept" in done.stderr
     end_well(start(kept))  # with room
-    whole = data(kept)
+    whole = digests(kept)
     assert len(whole) == 2 * FRAMES
     assert made.items() <= whole.items()  # nothing half-written bore a frame's name
     assert results(kept)["frames_made"] == FRAMES - len(truths)
@@ -226,7 +210,7 @@ def test_a_scheduler_elsewhere(dataset, tmp_path):
         folder = tmp_path / "remote"
         error = end_well(start(folder, "--scheduler", address))
         assert all("waiting for some" in line for line in error.splitlines())  # a busy machine lets workers be silent
-        assert data(folder) == data(dataset)
+        assert digests(folder) == digests(dataset)
         assert results(folder)["workers"] == 2
     begun = time.monotonic()
     process = start(tmp_path / "nobody", "--scheduler", address)

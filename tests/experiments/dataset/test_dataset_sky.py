@@ -118,6 +118,29 @@ def test_pixels_that_cosmic_rays_struck_are_marked(shot):
     assert "COSMIC" not in pixel_marks(scene, quiet.make(0))
 
 
+def test_labels_of_hot_pixels_and_cosmic_rays(engine):
+    """Expected behaviour: labels hold all charge of the rays in pixels with an electron, and the hottest defects."""
+    config = DatasetConfig(
+        instrument=SMALL,
+        nodes=2,
+        pointing=ConePointing(ra_deg=56.75, dec_deg=24.12, radius_deg=0.1),
+        radiation=RadiationConfig(environment="leo_quiet", displacement_dose_tev_per_g=500.0),
+    )
+    scene = build_scene(config)
+    labels, hits = LabelMaker(scene).labels(0), scene.simulator.hits(0)
+    rays = [label for label in labels if label.kind == "cosmic_ray"]
+    assert sum(label.pixels.shape[1] for label in rays) == np.count_nonzero(hits.struck)
+    strong = hits.charge_e[hits.struck[hits.row, hits.column]]
+    assert sum(label.electrons for label in rays) == pytest.approx(strong.sum())
+    maps, hot = sensor_maps(scene.instrument.detector), [label for label in labels if label.kind == "hot_pixel"]
+    assert 0 < len(hot) < maps.defect.sum()
+    assert all(maps.defect[tuple(label.pixels[:, 0])] for label in hot)
+    coldest = min(label.electrons for label in hot)
+    dark_e = maps.dark_current_e_per_s * scene.instrument.detector.dark_factor(30.0) * 2.0
+    assert np.count_nonzero(dark_e[maps.defect] >= coldest) == len(hot)
+    assert {(label.box_px[2], label.box_px[3]) for label in hot} == {(1.0, 1.0)}
+
+
 @pytest.mark.slow
 def test_hot_pixels_stand_out_of_frames_without_light(shot):
     scene, maker = shot

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import uuid
 from typing import ClassVar
 
@@ -12,7 +14,8 @@ import pytest
 from astropy.io import fits
 from fsspec.implementations.memory import MemoryFileSystem
 
-from experiments.dataset.remote import Store, working_copy
+from experiments.dataset.job import make_frame
+from experiments.dataset.remote import RemoteDataset, Store, check_at, working_copy
 from experiments.dataset.settings import main
 from optics.errors import ConfigError
 from render.fits.files import read_frame
@@ -95,6 +98,31 @@ def test_only_datasets_go_to_urls(capsys):
 def objects(url):
     store = Store(url)
     return {name: store.read(name) for name in store.names()}
+
+
+def test_frames_and_closing_files_at_a_url(url, dataset, job, tmp_path):
+    """Oracle: the dataset in a folder. A damaged frame is rendered again, and its outdated copy replaced."""
+    content = json.loads((dataset / "dataset.json").read_text())
+    names = ["frames/frame_000001.fits", "truth/frame_000001.parquet"]
+    settings = {"config": content["config"], "frames": 3, "truth": "parquet"}
+    remote = RemoteDataset(url, **settings)
+    assert (remote.numbers(), remote.only_here) == ([], url.startswith("memory"))
+    remote.open(content["software"])
+    remote.close()  # without a frame nothing is left
+    assert objects(url) == {}
+    make_frame(job("", url), 1)
+    assert objects(url) == {name: (dataset / name).read_bytes() for name in names}
+    Store(url).write(names[0], b"damaged")
+    remote = RemoteDataset(url, **settings)
+    assert (remote.count(), remote.checked(1)) == (1, None)
+    make_frame(job("", url), 1)
+    remote.open(content["software"])
+    remote.fetch(names)
+    assert remote.checked(1).sha256 == hashlib.sha256((remote.path / names[0]).read_bytes()).hexdigest()
+    with remote.writing() as folder:
+        (folder / "README.md").write_text("card")
+    assert set(objects(url)) == {*names, "dataset.json", "README.md", "SHA256SUMS"}
+    assert check_at(url).damaged == check_at(url).missing == ()
 
 
 @pytest.mark.slow
