@@ -85,9 +85,10 @@ class LensWcs:
         rotation = np.asarray(rotation_cam_from_icrs, np.float64)
         if rotation.shape != (3, 3):
             raise DomainError(f"rotation_cam_from_icrs has shape {rotation.shape}; a 3 x 3 matrix is needed")
-        x, y, z = rotation.tolist()
-        if not _is_rotation(x, y, z):
+        proper = np.allclose(rotation @ rotation.T, np.eye(3), rtol=0.0, atol=1e-9) and np.linalg.det(rotation) > 0.0
+        if not proper:  # NaN fails too
             raise DomainError("rotation_cam_from_icrs is no proper rotation (a mirrored sky has determinant -1)")
+        x, y, z = rotation.tolist()
         across = math.hypot(z[0], z[1])
         right_ascension, declination = math.atan2(z[1], z[0]), math.atan2(z[2], across)
         east = (-math.sin(right_ascension), math.cos(right_ascension), 0.0)
@@ -274,9 +275,3 @@ def _constant_cards(wcs: LensWcs) -> list[Card]:
 
 def _dot(a: Any, b: Any) -> float:
     return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
-
-
-def _is_rotation(x: list[float], y: list[float], z: list[float]) -> bool:
-    cross = (x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0])
-    off = [_dot(x, x) - 1.0, _dot(y, y) - 1.0, _dot(x, y), *(c - v for c, v in zip(cross, z, strict=True))]
-    return all(abs(value) < 1e-9 for value in off)  # NaN fails too

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from functools import cache
 from pathlib import Path
 
 from optics.errors import ConfigError
 from render.catalogue.record import StarCatalog
 from render.sensor_file.tables import CatalogueConfig
+from render.sky.sky import EPOCH_YEAR, built_in_catalogue
 
 
 def load_catalogue(config: CatalogueConfig) -> StarCatalog:
     """The configured catalogue."""
     if config.source == "gaia":
-        return _gaia(config.epoch_year != 2016.0)  # that of the package: no star moves
+        return built_in_catalogue(config.epoch_year != EPOCH_YEAR)
     from render.catalogue.read import read_catalog
 
     system = None if config.magnitude_system == "preset" else config.magnitude_system
@@ -25,10 +25,3 @@ def load_catalogue(config: CatalogueConfig) -> StarCatalog:
         raise ConfigError(
             f"catalogue.preset = {config.preset!r} has no magnitude system; set catalogue.magnitude_system to V or G"
         ) from None
-
-
-@cache
-def _gaia(motions: bool) -> StarCatalog:
-    from render.catalogue.gaia import load_gaia
-
-    return load_gaia(motions=motions)

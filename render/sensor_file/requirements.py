@@ -6,21 +6,6 @@ from pydantic import Field
 
 from optics.settings import StrictModel
 
-AT_LEAST = frozenset(
-    {
-        "field_deg",
-        "field_diagonal_deg",
-        "limiting_magnitude_mag",
-        "lost_success_percent",
-        "sky_coverage_percent",
-        "slew_rate_deg_per_s",
-        "stars_mean_per_frame",
-        "stars_worst_per_frame",
-        "update_rate_hz",
-    }
-)
-"""Requirements that the sensor has to reach; it must not exceed the others."""
-
 
 def _asked(description: str, low: float = 0.0) -> float | None:
     field: float | None = Field(default=None, gt=low, le=1e9, description=description)
@@ -72,3 +57,9 @@ class RequirementsConfig(StrictModel):
     spot_thermal_px: float | None = _asked("largest RMS radius of the white spot over the range of [thermal], at most")
     sun_exclusion_deg: float | None = _asked("exclusion angle of the Sun (experiment straylight), at most")
     scale_change_ppm: float | None = _asked("largest change of the plate scale over the range of [thermal], at most")
+
+
+AT_LEAST = frozenset(
+    name for name, field in RequirementsConfig.model_fields.items() if str(field.description).endswith("at least")
+)
+"""Requirements that the sensor has to reach; it must not exceed the others."""

@@ -147,7 +147,7 @@ def load_sky(
     DomainError
         No star is bright enough; epoch out of range.
     """
-    stars_of_sky = _gaia(epoch_year != EPOCH_YEAR) if catalogue is None else catalogue
+    stars_of_sky = built_in_catalogue(epoch_year != EPOCH_YEAR) if catalogue is None else catalogue
     bright = np.flatnonzero(stars_of_sky.magnitude <= faintest_mag)
     if not len(bright):
         raise DomainError(
@@ -166,7 +166,8 @@ def load_sky(
 
 
 @cache
-def _gaia(motions: bool) -> StarCatalog:
+def built_in_catalogue(motions: bool) -> StarCatalog:
+    """Gaia DR3 and Hipparcos to G = 10, with motions or at 2016.0."""
     from render.catalogue.gaia import load_gaia
 
     return load_gaia(motions=motions)

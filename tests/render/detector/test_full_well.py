@@ -4,19 +4,13 @@ import dataclasses
 
 import numpy as np
 import pytest
+from detectors import ideal_detector
 
 from render.detector.full_well import bloomed
 from render.detector.readout import expose
-from render.detector.spec import load_detector
 from render.engine.random import Streams
 
-PLAIN = dataclasses.replace(
-    load_detector("cmv4000"),
-    chip_width_px=32, chip_height_px=64, prnu=0.0, dark_current_e_per_s=0.0, dark_spread_e_per_s=0.0,
-    hot_fraction=0.0, dead_fraction=0.0, crosstalk_horizontal=0.0, crosstalk_vertical=0.0, crosstalk_diagonal=0.0,
-    read_noise_e=0.0, read_noise_spread=0.0, gain_dn_per_e=1.0, nonlinearity=(), offset_dn=0.0, dsnu_e=0.0,
-    column_pattern_e=0.0, adc_bits=16, full_well_e=10000.0,
-)  # fmt: skip
+PLAIN = ideal_detector(64, 32, offset_dn=0.0, full_well_e=10000.0)
 
 
 def read(electrons, **changes):

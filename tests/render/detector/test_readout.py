@@ -1,10 +1,12 @@
 """The detector chain: closed forms, the photon-transfer method of EMVA 1288, windows against frames, and bad input."""
 
 import dataclasses
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
+from detectors import ideal_detector
 from scipy.ndimage import convolve
 
 from render.detector.readout import expose, expose_windows
@@ -14,30 +16,9 @@ from render.records import ExpectedImage, Frame
 
 SHAPE = (256, 512)
 N = SHAPE[0] * SHAPE[1]
+ideal = partial(ideal_detector, *SHAPE)
 SHIPPED = dataclasses.replace(load_detector("cmv4000"), chip_width_px=SHAPE[1], chip_height_px=SHAPE[0])
-IDEAL = dataclasses.replace(
-    SHIPPED,
-    name="ideal",
-    prnu=0.0,
-    dark_current_e_per_s=0.0,
-    dark_spread_e_per_s=0.0,
-    hot_fraction=0.0,
-    dead_fraction=0.0,
-    read_noise_e=0.0,
-    read_noise_spread=0.0,
-    nonlinearity=(),
-    dsnu_e=0.0,
-    column_pattern_e=0.0,
-    full_well_e=60000.0,
-    gain_dn_per_e=1.0,
-    offset_dn=100.0,
-    adc_bits=16,
-)
 CROSSTALK = {"crosstalk_horizontal": 0.02, "crosstalk_vertical": 0.03, "crosstalk_diagonal": 0.004}
-
-
-def ideal(**changes: Any) -> Detector:
-    return dataclasses.replace(IDEAL, **changes)
 
 
 def flat(electrons: float) -> np.ndarray:
