@@ -23,15 +23,7 @@ COEFFICIENTS = ("q1_per_mm2", "q2_per_mm4", "q3_per_mm6", "p1_per_mm", "p2_per_m
 
 
 def distort(x: FloatArray, y: FloatArray, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Distorted positions of ideal ones.
-
-    Parameters
-    ----------
-    x, y : (n,)
-        Ideal positions from the principal point [mm].
-    coefficients : (5,)
-        q1, q2, q3, p1, p2.
-    """
+    """Distorted positions (n,) of ideal ones (n,) [mm from the principal point]; coefficients q1, q2, q3, p1, p2."""
     q1, q2, q3, p1, p2 = coefficients.tolist()
     s = x * x + y * y
     factor = 1.0 + s * (q1 + s * (q2 + s * q3)) + 2.0 * (p1 * x + p2 * y)

@@ -31,7 +31,7 @@ _UNREADABLE = {b"PK\x03\x04": "zip", b"\x1f\x9d": "compress"}
 MOST_UNPACKED_BYTES = 1 << 28
 """A packed file may become this large; unpacked by its owner it may be of any size."""
 MOST_RATIO = 2000
-"""Of a tile-compressed image to what is stored: an image of one value alone is packed so well."""
+"""Largest ratio of a tile-compressed image to its stored size, that of an image of a single value."""
 _SURELY_BYTES = 1 << 26
 _MOST_EXTENSIONS = 4096
 _MOST_HEADER_BLOCKS = 1000
@@ -199,7 +199,7 @@ def _data_bytes(header: dict[str, str], number: int) -> int:
 
 
 def _check_tiles(header: dict[str, str], number: int, stored: int) -> None:
-    """Refuse a compressed image, or tiles of it, far larger than what is stored."""
+    """Refuse a compressed image, or tiles of it, far larger than the stored bytes."""
     for name in ("ZNAXIS", "ZTILE"):
         size = 8
         for axis in range(_integer(header, "ZNAXIS", number, 1, 99)):
@@ -209,7 +209,7 @@ def _check_tiles(header: dict[str, str], number: int, stored: int) -> None:
 
 
 def _check_streams(stream: BinaryIO, header: dict[str, str], number: int, start: int) -> None:
-    """Refuse tiles that unpack to more than a tile: gzip to a thousand times its size, HCOMPRESS to sides of its own;
+    """Refuse tiles that unpack to more than a tile: gzip to a thousand times its size, HCOMPRESS to other sides;
     those of other algorithms cannot (FITS standard 4.0, sec. 10)."""
     pixels = 1
     for axis in range(int(header["ZNAXIS"])):

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
-from optics.records import freeze
+from optics.records import freeze_alike
 from optics.textfile import write_text
 
 SHAPES = ("circle", "square", "cross", "arrow")
@@ -77,9 +77,7 @@ class Marks:
         if self.shape not in SHAPES:
             raise ConfigError(f"Marks.shape = {self.shape!r}; choose one of {', '.join(SHAPES)}")
         names = ("x_px", "y_px", *(("dx_px", "dy_px") if self.shape == "arrow" else ()))
-        sizes: dict[str, int] = {}
-        for name in names:
-            freeze(self, name, shape=("n",), finite=False, sizes=sizes)
+        freeze_alike(self, *names, shape=("n",), finite=False)
         texts = {"label": self.label} if len(self.label) else {}
         for name, values in {**self.columns, **texts}.items():
             if len(values) != len(self.x_px):

@@ -140,7 +140,7 @@ def read_lens_file(
     configuration : int, optional
         Configuration or zoom position, from 1; the active one if left out.
     catalogues : sequence of path
-        Glass catalogues (AGF); those beside the file are used too.
+        Glass catalogues (AGF); those in the folder of the file are used too.
     glasses : mapping, optional
         Name in the file -> glass to take in its place.
     strict : bool

@@ -230,20 +230,7 @@ def _within(light: FloatArray, grid: FloatArray, radius_mm: FloatArray) -> Float
 
 
 def study(file: LensFile, shown: str) -> Study:
-    """Study a lens file.
-
-    Parameters
-    ----------
-    file : LensFile
-        The lens with the defaults of its file (`optics.lens_file.read_lens_file`).
-    shown : str
-        How the file is called.
-
-    Returns
-    -------
-    Study
-        All results; what cannot be computed is None, with the reason in ``missing``.
-    """
+    """Study a lens with the defaults of its file; ``shown`` is its name on the page."""
     lens = file.lens
     waves, weight = _waves(file)
     fields = np.array(FIELD_FRACTIONS) * lens.max_field_deg

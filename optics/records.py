@@ -38,32 +38,10 @@ def freeze(
     finite: bool = True,
     sizes: dict[str, int] | None = None,
 ) -> NDArray[Any]:
-    """Replace ``record.name`` by a checked, write-locked copy; for use in ``__post_init__`` of frozen records.
+    """Replace ``record.name`` by a checked, write-locked copy, and return it; for ``__post_init__`` of frozen records.
 
-    Parameters
-    ----------
-    record : object
-        The frozen dataclass instance.
-    name : str
-        Field to check.
-    shape : tuple of int or str
-        Expected shape; a string stands for a size that must agree wherever the same ``sizes`` is handed on.
-    dtype : dtype
-        Type of the copy.
-    finite : bool
-        Refuse NaN and infinity (floating-point types only).
-    sizes : dict, optional
-        Symbol table, filled on first use.
-
-    Returns
-    -------
-    numpy.ndarray
-        The locked copy.
-
-    Raises
-    ------
-    DomainError
-        On a wrong shape or a value that is not finite.
+    A string in ``shape`` stands for a size that must agree wherever the same ``sizes``, filled on first use, is handed
+    on. ``finite`` refuses NaN and infinity of floating-point types. DomainError on a wrong shape or value.
     """
     owner = type(record).__name__
     try:

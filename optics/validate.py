@@ -154,7 +154,7 @@ def read_toml(path: str | Path) -> dict[str, Any]:
 
 
 def _deeper(table: Any, levels: int) -> bool:
-    """Whether tables and lists exceed a number of levels; without recursion, which has a limit of its own."""
+    """Whether tables and lists exceed a number of levels; without recursion, whose depth is limited."""
     inside = [table]
     for _ in range(levels):
         values = (value for part in inside for value in (part.values() if isinstance(part, dict) else part))
@@ -315,7 +315,7 @@ def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
 
 
 def _owners(model_class: type[BaseModel], location: Location) -> list[type[BaseModel]]:
-    """Models that the table at ``location`` may stand for; a union's tag chooses one, list indices lead nowhere."""
+    """Models that the table at ``location`` may be; the tag of a union chooses one, list indices are skipped."""
     owners = [model_class]
     for step in location:
         if _is_tag(owners, step):

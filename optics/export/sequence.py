@@ -34,7 +34,7 @@ class Break:
 
 @dataclass(frozen=True, slots=True)
 class Element:
-    """A surface, with the thickness behind it in the frame that it stands in [mm]."""
+    """A surface, with the thickness behind it in its frame [mm]."""
 
     table: SurfaceTable
     thickness_mm: float
@@ -55,7 +55,7 @@ def safe_name(name: str) -> str:
 
 
 def _break(moved: MovedTable, thickness_mm: float) -> Break | None:
-    """The break that a table stands for; None if it does nothing."""
+    """The break of a table; None if it does nothing."""
     a, b, c = [*moved.tilt_deg, 0.0][:3]
     x, y, z = (float(s) for s in [*moved.decentre_mm, 0.0][:3])
     if not any((a, b, c, x, y, z, thickness_mm)):

@@ -22,7 +22,7 @@ from optics.records import locked
 
 WIDEST_DEG = 89.0
 AXIS_ONLY_DEG = 0.1
-"""Half field of a file that knows the axis only: something has to stand there, and the report says so."""
+"""Half field of a lens whose file states the axis only; the report names it."""
 MIRROR = "mirror"
 AIR = "air"
 
@@ -276,7 +276,7 @@ def _tables(
 
 
 def _free_name(glass: Glass, built_in: set[str], own: Mapping[str, Any]) -> str:
-    """Its own name if that stands for the same glass in the built-in catalogue or for none."""
+    """Name of the glass unless the built-in catalogue has another glass of that name."""
     if glass.name in built_in and get_glass(glass.name) is glass:
         return glass.name
     name = glass.name if glass.name not in built_in and glass.name != AIR else f"{glass.name}_{glass.maker}"

@@ -26,7 +26,7 @@ BUILT_IN = {
     "MISC": ("generic",),
     "INFRARED": ("generic",),
 }
-"""Catalogues of design programs that the built-in one stands for, by their first word, and its makers."""
+"""Catalogues of design programs, by their first word, and the makers of the built-in catalogue that replace them."""
 SYNONYMS = {
     "SILICA": "fused-silica", "F_SILICA": "fused-silica", "FUSEDSILICA": "fused-silica", "FSILICA": "fused-silica",
     "QUARTZGLASS": "fused-silica", "CAF2": "CaF2", "BAF2": "BaF2", "MGF2": "MgF2", "ZNSE": "ZnSe", "ZNS": "ZnS",

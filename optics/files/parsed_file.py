@@ -15,7 +15,7 @@ from optics.glass.catalogue import Glass
 from optics.textfile import TextFile
 
 LARGEST = 1e15
-"""Numbers above stand for infinity."""
+"""Numbers above mean infinity."""
 FAR_MM = 1e9
 """An object at this distance or further is at infinity."""
 MOST_SURFACES = 1000

@@ -23,7 +23,7 @@ _CLOSED = {
     ".otx": "a lens file of another program", ".osl": "a lens file of another program",
 }  # fmt: skip
 FOREIGN = (*SUFFIXES, *_CLOSED)
-"""Those, and the endings of files that are refused by what they are."""
+"""Endings of lens files of other programs, read or refused."""
 MOST_LINES = 200_000
 
 
@@ -46,7 +46,7 @@ class Reading:
 
 
 def import_lens(path: Path, reading: Reading = Reading()) -> Imported:
-    """Read a Zemax or CODE V file as a prescription of our own."""
+    """Read a Zemax or CODE V file as a prescription."""
     if path.suffix.lower() in _CLOSED:
         raise ConfigError(f"{path}: {_CLOSED[path.suffix.lower()]}; .zmx, .seq and .toml are read")
     text = read_text(path, "a lens file")

@@ -262,7 +262,7 @@ class _ZmxReader(LensReader):
         parsed.primary = self.primary - 1
 
     def _coating(self, surface: ZmxSurface, line: int, words: list[str], text: str) -> None:
-        """Take the coatings that the program's help defines; others stand in a file of the program and are named."""
+        """Take the coatings that the program's help defines; others are defined in a file of the program."""
         name = words[1] if words[1:] else ""
         wave = self.waves.get(self.primary, (0.0, 1.0))[0]
         ideal = re.fullmatch(r"I(\.\d+)", name.upper())

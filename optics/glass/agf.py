@@ -149,7 +149,7 @@ def _glass(record: _Record, catalogue: str, file: str) -> Glass:
 
 
 def _thermal(words: list[str]) -> ThermalDispersion | None:
-    """The dn/dT constants; none where all are zero or missing: AGF files write zeros for what is not known."""
+    """The dn/dT constants; none where all are zero or missing: AGF files write zeros for unknown constants."""
     values = [_number(words, i, 0.0) for i in range(6)]
     return ThermalDispersion.of(values) if any(values[:5]) else None
 

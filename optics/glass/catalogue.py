@@ -122,22 +122,9 @@ class Glass:
         )
 
     def index(self, wavelength_nm: ArrayLike) -> FloatArray:
-        """Catalogue index, relative to air at ``reference_temperature_c`` and 1013.25 hPa.
+        """Index relative to air at ``reference_temperature_c`` and 1013.25 hPa, of the shape of ``wavelength_nm`` [nm].
 
-        Parameters
-        ----------
-        wavelength_nm : array_like
-            Wavelengths [nm], any shape. The testbed passes vacuum wavelengths (docs/conventions.md).
-
-        Returns
-        -------
-        numpy.ndarray
-            Index, the same shape.
-
-        Raises
-        ------
-        DomainError
-            Outside ``range_nm``, naming glass, value and range.
+        The testbed passes vacuum wavelengths (docs/conventions.md). DomainError outside ``range_nm``.
         """
         return self.dispersion.index(self._inside(wavelength_nm))
 
@@ -148,19 +135,10 @@ class Glass:
         temperature_c: float | None = None,
         air_formula: AirFormula = "kohlrausch",
     ) -> FloatArray:
-        """Index against vacuum (`optics.glass.thermal_index`); other parameters and result as in `index`.
+        """Index against vacuum at ``temperature_c`` [C], the reference temperature if left out.
 
-        Parameters
-        ----------
-        temperature_c : float, optional
-            Temperature of the glass [C]; the reference temperature if left out.
-        air_formula : {"kohlrausch", "ciddor"}
-            Air of the catalogue measurement.
-
-        Raises
-        ------
-        DomainError
-            Wavelength or temperature outside its range, or no dn/dT data for another temperature.
+        ``air_formula`` is the air of the catalogue measurement. DomainError for a wavelength or temperature outside its
+        range, or without dn/dT data for another temperature.
         """
         wavelength_nm = self._inside(wavelength_nm)
         relative = self.dispersion.index(wavelength_nm)
@@ -193,21 +171,9 @@ class Glass:
         medium: Literal["air", "vacuum"] = "air",
         air_formula: AirFormula = "kohlrausch",
     ) -> FloatArray:
-        """Index relative to surroundings at the temperature of the glass; other parameters as in `absolute_index`.
+        """Index relative to air of ``pressure_hpa`` [hPa] or to vacuum at the temperature of the glass.
 
-        Parameters
-        ----------
-        pressure_hpa : float
-            Pressure of the air [hPa].
-        medium : {"air", "vacuum"}
-            The surroundings.
-
-        Raises
-        ------
-        DomainError
-            As `absolute_index`, or a pressure outside its range.
-        ConfigError
-            Unknown medium.
+        Other parameters and errors as in `absolute_index`; ConfigError for an unknown ``medium``.
         """
         if medium not in ("air", "vacuum"):
             raise unknown_name("medium", medium, ("air", "vacuum"))
@@ -218,22 +184,10 @@ class Glass:
         return absolute / air_index(wavelength_nm, celsius, pressure_hpa, formula=air_formula)
 
     def internal_transmittance(self, wavelength_nm: ArrayLike, path_mm: ArrayLike) -> FloatArray:
-        """Fraction of light left after a path through the glass, reflections apart (Beer-Lambert).
+        """Fraction of light after a path [mm] through the glass, without reflections (Beer-Lambert).
 
-        Parameters
-        ----------
-        wavelength_nm, path_mm : array_like
-            Wavelengths [nm] and path lengths [mm], of shapes that broadcast.
-
-        Returns
-        -------
-        numpy.ndarray
-            ``tau ** (path / thickness)`` with the maker's tau interpolated linearly.
-
-        Raises
-        ------
-        DomainError
-            No table, wavelength outside it, or a negative path.
+        ``tau ** (path / thickness)`` with the maker's tau interpolated linearly; wavelengths [nm] and paths broadcast.
+        DomainError without a table, outside it, or for a negative path.
         """
         if self.transmittance is None or self.transmittance_mm is None:
             raise DomainError(

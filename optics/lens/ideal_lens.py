@@ -38,7 +38,7 @@ def ideal_lens(
     f_number : float
         Focal length over the diameter of the stop.
     spot_um : float
-        RMS radius of a Gaussian spot that stands for aberrations; it blurs the image that diffraction makes.
+        RMS radius of a Gaussian spot in place of aberrations; it blurs the diffraction image.
     psf_fwhm_px : float
         The same by its full width at half maximum, in pixels of the detector; only one of the two.
     transmission : float or Response

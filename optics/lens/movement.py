@@ -60,7 +60,7 @@ def smallest_movement(excess: Callable[[float], float], limit: float) -> float:
 def refined_movement(
     excess: Callable[[float], float], approximate: Callable[[float], float], amount: float, tolerance: float
 ) -> float:
-    """Root of an expensive quantity from that of an approximation, whose slope stands for it (chord method)."""
+    """Root of an expensive quantity from that of an approximation, by the slope of the latter (chord method)."""
     step = 1e-2 * abs(amount) + 1e-6
     slope = (approximate(amount + step) - approximate(amount - step)) / (2 * step)
     for _ in range(REFINEMENTS):

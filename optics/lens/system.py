@@ -130,7 +130,7 @@ class LensSystem:
     name, source : str
         What it is and where its numbers come from.
     surfaces : tuple of Surface
-        In the order light meets them; the stop is one of them (a plane without refraction when it stands alone).
+        In the order light meets them; the stop is one of them (alone: a plane without refraction).
     glasses : dict of str to Glass
         Every glass the surfaces name.
     image_position_mm : (3,)
@@ -240,22 +240,9 @@ class LensSystem:
         return ((AMBIENT, 0.0), *((s.medium, s.index_offset) for s in self.surfaces))
 
     def indices(self, wavelength_nm: FloatArray | float) -> FloatArray:
-        """Absolute refractive index before the first surface and after each one.
+        """Absolute refractive index (surfaces + 1, ...) before the first surface and after each one.
 
-        Parameters
-        ----------
-        wavelength_nm : array
-            Vacuum wavelengths [nm], any shape.
-
-        Returns
-        -------
-        (surfaces + 1, ...)
-            Indices.
-
-        Raises
-        ------
-        DomainError
-            If a wavelength is outside the range of one of the glasses.
+        ``wavelength_nm`` are vacuum wavelengths of any shape; DomainError outside the range of one of the glasses.
         """
         self.check_wavelength(wavelength_nm)
         wavelength = np.asarray(wavelength_nm, float)

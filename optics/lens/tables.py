@@ -69,7 +69,7 @@ class ImageTable(MovedTable):
 
 
 class StopTable(StrictTable):
-    """A stop that stands alone: a plane at ``z_mm`` in the lens frame."""
+    """A stop that is no surface of the list: a plane at ``z_mm`` in the lens frame."""
 
     z_mm: Length
     semi_diameter_mm: Positive = math.inf
@@ -184,7 +184,7 @@ class SurfaceTable(MovedTable):
 
 
 def _kind_of(table: Any) -> Any:
-    """Kind that a surface table names, or stands for if it names none."""
+    """Kind of a surface table, the default one if it names none."""
     return table.get("kind", UNNAMED.kind) if isinstance(table, dict) else getattr(table, "kind", UNNAMED.kind)
 
 
@@ -275,7 +275,7 @@ Fractions = tuple[tuple[FiniteFloat, ...], ...]
 
 
 class ReflectanceTable(StrictTable):
-    """Measured or specified reflectance; ``reflectance`` stands for s and p light alike, ``transmittance`` too."""
+    """Measured or specified reflectance; ``reflectance`` and ``transmittance`` hold for s and p light alike."""
 
     kind: Literal["table"]
     source: Annotated[str, Field(min_length=1)]

@@ -95,17 +95,7 @@ def profile_sag(profile: Profile, x_mm: FloatArray, y_mm: FloatArray) -> FloatAr
 
 
 def newton_hit(profile: Profile, start: Any, x: Any, y: Any, d: Sequence[Any], xp: ArrayNamespace) -> Hit:
-    """Intersect rays that stand on the vertex plane with a profile.
-
-    Parameters
-    ----------
-    profile : Profile
-        The surface.
-    start : array
-        Path from the vertex plane to begin with [mm], e.g. that to the conic.
-    x, y, d, xp
-        As in `optics.lens.shapes.base.Shape.intersect`.
-    """
+    """Intersect rays on the vertex plane with a profile; ``start`` is the path [mm] to begin with, as to the conic."""
     dx, dy, dz = d
     s = start
     for _ in range(NEWTON_STEPS):
