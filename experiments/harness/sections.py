@@ -151,13 +151,14 @@ class Section:
         shown = self.columns.split() or [name for name, metadata in columns.items() if metadata["shown"]]
         if self.vertical:
             return self._vertical(outcome, list(dict.fromkeys((*shown, *columns))) if every else shown, every=every)
+        shown = [name for name in shown if name not in columns or f"{outcome.section}.{name}" in outcome]
         if not self.rows:
             shown = [name for name in shown if name != self.along]
         dims = [dim for name in shown if name in outcome for dim in outcome.dims(name)]
         rows = self.rows.split() or [dim for dim in (self.dim, *dims) if dim and dim not in self.across.split()]
         if every:
             runs = {*rows, *self.across.split(), *self.where}
-            others = [name for name in columns if name != self.along and name in outcome]
+            others = [name for name in columns if name != self.along and f"{outcome.section}.{name}" in outcome]
             shown += [name for name in others if name not in shown and {*outcome.dims(name)} <= runs]
         return Pivot(
             columns=" ".join(outcome.name(name) for name in shown if name in outcome),
