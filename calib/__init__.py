@@ -9,7 +9,7 @@ The public names of the package are listed in ``__init__.pyi`` and loaded on fir
 module stays fast; everything else is imported from its module:
 
 =================  =====================================================================================================
-calib.measure      background, detection, stamps, centroiders, their bound, circles
+calib.measure      images, background, detection, centroiders, centroid errors and their bound, ePSFs, circles
 calib.cameras      camera models and their fit to a known map, line-of-sight maps
 calib.attitude     Wahba's problem, identification, association, attitudes linked by gyros
 calib.calibration  camera models and attitudes from many frames, with their bounds

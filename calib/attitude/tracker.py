@@ -418,18 +418,14 @@ class StarTracker:
             band=frame.band,
             first_index=frame.index,
         )
-        stamps, noise = stamps_from_windows(
-            stack,
-            background_e=np.zeros(len(expected_px)),
-            start_px=expected_px,
-            psf_index=self._nearest_psf(expected_px),
-        )
+        stamps, noise = stamps_from_windows(stack, expected_px)
         electrons = stamps.electrons
         if self._dark is not None:
             dark = (self._dark[at] - frame.offset_dn) / frame.gain_dn_per_e
             electrons = np.where(stamps.valid, electrons - dark, 0.0)
         level = ring_background(electrons, stamps.valid)
-        stamps = replace(stamps, electrons=electrons, background_e=level)
+        psf_index = self._nearest_psf(expected_px)
+        stamps = replace(stamps, electrons=electrons, background_e=level, psf_index=psf_index)
         return self._fitted(stamps, noise if self._noise is None else self._noise)
 
     def _centroider(self, rows: Any) -> Centroider:

@@ -1,1 +1,1 @@
-"""From pixels to stars: background, detection, stamps, centroiders, their bound, circles."""
+"""From pixels to stars: images, background, detection, centroids, their errors without frames, ePSFs, round targets."""

@@ -26,19 +26,14 @@ def dark_subtracted(
 ) -> tuple[Stamps, NoiseModel]:
     """Stamps minus the mean dark frame; with the lamp off there is no light, so no background is left."""
     frames, count, height, width = stack.dn.shape
-    stamps, noise = stamps_from_windows(stack, background_e=0.0, start_px=stack.corner_px.astype(np.float64))
+    stamps, noise = stamps_from_windows(stack, stack.corner_px)
     pedestal = dark_e - noise.offset_dn / noise.gain_dn_per_e
     electrons = np.where(stamps.valid, stamps.electrons - np.tile(pedestal, (frames, 1, 1)), 0.0)
     if response is not None:
         electrons = electrons / np.tile(response, (frames, 1, 1))
     if start_px is None:
         start_px = stack.corner_px + centre_of_gravity(electrons.reshape(frames, count, height, width).mean(0))
-    return replace(
-        stamps,
-        electrons=electrons,
-        start_px=np.tile(start_px, (frames, 1)),
-        psf_index=np.tile(np.arange(count), frames),
-    ), noise
+    return replace(stamps, electrons=electrons, start_px=np.tile(start_px, (frames, 1))), noise
 
 
 def ring_subtracted(
@@ -50,7 +45,7 @@ def ring_subtracted(
     3 px of the detection.
     """
     frames, count, height, width = stack.dn.shape
-    stamps, noise = stamps_from_windows(stack, background_e=0.0, start_px=detected_px)
+    stamps, noise = stamps_from_windows(stack, detected_px)
     if response is not None:
         stamps = replace(stamps, electrons=stamps.electrons / np.tile(response, (frames, 1, 1)))
     mean = stamps.electrons.reshape(frames, count, height, width).mean(0)
@@ -60,12 +55,8 @@ def ring_subtracted(
     near_x, near_y = (np.abs(np.arange(n) - at[:, k, None]) <= NEAR_PX for k, n in enumerate((width, height)))
     near = near_y[:, :, None] & near_x[:, None, :]
     gravity = centre_of_gravity(np.where(near & valid, mean - level[:, None, None], 0.0))
-    return replace(
-        stamps,
-        background_e=np.tile(level, frames),
-        start_px=np.tile(stack.corner_px + gravity, (frames, 1)),
-        psf_index=np.tile(np.arange(count), frames),
-    ), noise
+    start_px = np.tile(stack.corner_px + gravity, (frames, 1))
+    return replace(stamps, background_e=np.tile(level, frames), start_px=start_px), noise
 
 
 def refuse_saturated(stamps: Stamps, windows: int, *, where: str, advice: str) -> None:

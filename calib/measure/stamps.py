@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import correlate1d
@@ -123,43 +121,25 @@ def extract_stamps(
     )
 
 
-def stamps_from_windows(
-    stack: WindowStack,
-    *,
-    background_e: ArrayLike | None = None,
-    start_px: ArrayLike | None = None,
-    psf_index: ArrayLike | None = None,
-) -> tuple[Stamps, NoiseModel]:
-    """Stamps of a windowed readout of m frames and n windows, frame by frame (row ``frame * n + window``).
+def stamps_from_windows(stack: WindowStack, start_px: ArrayLike) -> tuple[Stamps, NoiseModel]:
+    """Stamps of a readout of m frames and n windows, frame by frame (row ``frame * n + window``), background 0.
 
-    Shapes: ``background_e`` (n,), ``start_px`` (n, 2), ``psf_index`` (n,).
+    Measurements start at ``start_px`` (n, 2); ``psf_index`` is the window.
     """
     noise = NoiseModel.of(stack)
     frames, windows, height, width = stack.dn.shape
-    total = frames * windows
-    saturated = stack.saturated.reshape(total, height, width)
-    defect = np.broadcast_to(stack.defect, stack.dn.shape).reshape(total, height, width)
+    shape = (frames * windows, height, width)
+    saturated = stack.saturated.reshape(shape)
+    defect = np.broadcast_to(stack.defect, stack.dn.shape).reshape(shape)
     valid = ~(saturated | defect)
-    electrons = np.where(valid, noise.to_electrons(stack.dn).reshape(total, height, width), 0.0)
-    corner = np.tile(stack.corner_px, (frames, 1))
-
-    def per_window(values: Any, dtype: type) -> NDArray[Any]:
-        return np.tile(np.broadcast_to(np.asarray(values, dtype=dtype), (windows,)), frames)
-
-    level = ring_background(electrons, valid) if background_e is None else per_window(background_e, float)
-    if start_px is None:
-        x, y = coarse_position(electrons - level[:, None, None], valid)
-        start = np.column_stack([x, y]) + corner
-    else:
-        start = np.tile(np.asarray(start_px, dtype=np.float64), (frames, 1))
     stamps = Stamps(
-        electrons=electrons,
+        electrons=np.where(valid, noise.to_electrons(stack.dn).reshape(shape), 0.0),
         valid=valid,
-        corner_px=corner,
-        background_e=level,
-        start_px=start,
+        corner_px=np.tile(stack.corner_px, (frames, 1)),
+        background_e=np.zeros(len(valid)),
+        start_px=np.tile(start_px, (frames, 1)),
         flags=_window_flags(np.ones_like(valid), saturated, defect, valid),
-        psf_index=np.zeros(total, np.int64) if psf_index is None else per_window(psf_index, int),
+        psf_index=np.tile(np.arange(windows), frames),
     )
     return stamps, noise
 

@@ -149,7 +149,7 @@ class PsfFluxes(NamedTuple):
 
 
 def psf_fluxes(psf: MixturePsf, windows: StarWindows, variance_dn2: FloatArray, gain_e_per_dn: float) -> PsfFluxes:
-    """Fluxes with weights of the background alone: those of bright stars are insensitive to errors of the core.
+    """Fluxes with weights of the background alone, insensitive to errors of the core of bright stars.
 
     ``variance_dn2`` (n,): of a background pixel of each window.
     """

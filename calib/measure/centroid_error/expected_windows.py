@@ -76,7 +76,7 @@ class ExpectedWindows:
     corner_px: NDArray[np.int64]  # (n, 2) First pixels
     light_e: FloatArray  # (n, h, w) Expected electrons
     valid: NDArray[np.bool_]  # (n, h, w) Pixels that the reduction uses
-    psf: tuple[EffectivePsf, ...]  # PSFs; ``psf_index`` says which belongs to which window
+    psf: tuple[EffectivePsf, ...]  # PSFs of the windows, by ``psf_index``
     psf_index: NDArray[np.int64]  # (n,) Index into ``psf``
 
     def __post_init__(self) -> None:
@@ -88,7 +88,7 @@ class ExpectedWindows:
     def modelled(self, shift_px: FloatArray | float = 0.0) -> tuple[FloatArray, FloatArray]:
         """Images (n, h w) of the PSFs moved by (2,), with derivatives (n, 3, h w) by column, row and electrons.
 
-        The electrons are those of the whole image, of which a window cuts the wings.
+        The electrons are of the full image, whose wings are cut by a window.
         """
         count, height, width = self.light_e.shape
         model = EpsfModel(epsf_bank(self.psf, (height, width)), self.psf_index)

@@ -309,9 +309,9 @@ class LikelihoodFit:
         offset = theta[:, :FLUX] + stamps.corner_px - stamps.start_px
         columns = self.shape_columns(fit)
         flags |= columns.pop("flags", 0)
-        far = np.hypot(offset[:, X], offset[:, Y]) > self.max_shift_px
+        shifted = np.hypot(offset[:, X], offset[:, Y]) > self.max_shift_px
         flags[lost] |= int(StarFlag.NO_DATA)
-        flags[~lost & (far | ~fit.converged)] |= int(StarFlag.NOT_CONVERGED)
+        flags[~lost & (shifted | ~fit.converged)] |= int(StarFlag.NOT_CONVERGED)
         position, flux = theta[:, :FLUX] + stamps.corner_px, theta[:, FLUX]
         background = theta[:, -1] if self.fit_background else stamps.background_e
         covariance = fit.covariance[:, : FLUX + 1, : FLUX + 1]

@@ -75,8 +75,8 @@ def register_centroider(new: type[Centroider]) -> type[Centroider]:
     Raises
     ------
     ConfigError
-        If the class is no dataclass, lacks ``name``, ``label``, ``needs_epsf`` or ``measure``, says that it needs an
-        ePSF and has no field ``epsf``, or if the name belongs to another class.
+        If the class is no dataclass, lacks ``name``, ``label``, ``needs_epsf`` or ``measure``, needs an ePSF without a
+        field ``epsf``, or if the name belongs to another class.
     """
     missing = [key for key in ("name", "label", "needs_epsf", "measure") if not hasattr(new, key)]
     if missing:

@@ -121,7 +121,7 @@ def build_epsf(
     epsf: EffectivePsf | None = None
     converged, shift, iterations, relative_shift = False, np.inf, 0, np.inf
     while not converged and iterations < max_iterations:
-        placed = stars if dither is None else dither.place(stars, used)
+        placed = stars if dither is None else dither.fitted(stars, used)
         if fixed_px is not None:
             x_px, y_px = np.where(usable[:, None], fixed_px, 0.0).T
             placed = replace(stars, x_px=x_px, y_px=y_px)
@@ -188,7 +188,7 @@ class _Dither:
         index = np.column_stack([columns[0], columns[1] + stars]).ravel()
         self.design = sparse.csr_matrix((np.ones(2 * count), index, np.arange(count + 1) * 2), shape=(count, total))
 
-    def place(self, stars: StarTable, used: NDArray[np.bool_]) -> StarTable:
+    def fitted(self, stars: StarTable, used: NDArray[np.bool_]) -> StarTable:
         """The table with the positions of the used stars replaced by the fitted ones."""
         design = self.design[used]
         position = {}

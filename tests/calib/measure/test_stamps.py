@@ -96,13 +96,14 @@ def test_windowed_readout():
         band="V",
         first_index=0,
     )
-    stamps, noise = stamps_from_windows(stack, psf_index=[0, 1])
+    start = corner + np.array([[5.0, 5.0], [5.3, 4.8]])
+    stamps, noise = stamps_from_windows(stack, start)
     assert noise.read_noise_e == 4.0
     assert len(stamps) == frames * windows
     assert stamps.corner_px[3].tolist() == [300, 400]
     assert stamps.psf_index.tolist() == [0, 1, 0, 1, 0, 1]
-    assert stamps.start_px[3] == pytest.approx([305.3, 404.8], abs=0.2)
-    assert stamps.background_e == pytest.approx(np.full(6, 20.0), abs=2.0)
+    assert stamps.start_px == pytest.approx(np.tile(start, (3, 1)))
+    assert ring_background(stamps.electrons, stamps.valid) == pytest.approx(np.full(6, 20.0), abs=2.0)
     assert StarFlag(int(stamps.flags[4])) == StarFlag.SATURATED
     assert StarFlag(int(stamps.flags[1])) == StarFlag.DEFECT
     assert stamps.flags[0] == 0
