@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from batoid_trace import batoid_rays, batoid_surface
+from lens_texts import table_lens
 from made_lens import made_coating
 
 from optics import LensSystem, QuarterWave, field_direction, load_lens
-from optics.lens.prescription import lens_from_table
 from optics.rays.entrance_pupil import launch_disks, star_rays
 from optics.rays.ghosts import find_ghosts, ghost_pairs, trace_ghost, with_cover_glass
 from optics.rays.pupil_sampling import sobol_disk
@@ -20,10 +21,8 @@ def batoid_lens(batoid, lens: LensSystem):
     index = lens.indices(lens.design_wavelength_nm)
     items = []
     for k, surface in enumerate(lens.surfaces):
-        shape = surface.shape
-        radius, terms = getattr(shape, "radius_mm", np.inf), list(getattr(shape, "asphere", ()))
         item = batoid.RefractiveInterface(
-            batoid.Asphere(radius, getattr(shape, "conic", 0.0), terms) if np.isfinite(radius) else batoid.Plane(),
+            batoid_surface(batoid, surface.shape),
             name=str(k),
             obscuration=batoid.ObscNegation(batoid.ObscCircle(surface.semi_diameter_mm)),
             coordSys=batoid.CoordSys(surface.position_mm, surface.rotation),
@@ -57,46 +56,36 @@ def test_every_path_is_that_of_batoid(name: str) -> None:
     lens, star, wave = lens.with_surfaces(coated), field_direction(1.5, -0.7), lens.design_wavelength_nm
     rays = star_rays(launch_disks(lens, star[None], [wave]), sobol_disk(64, seed=1), star[None], wave)
     rays = replace(rays, **{k: np.ravel(getattr(rays, k)) for k in rays.__dataclass_fields__})
-    n = lens.indices(wave)[0]
-    rv = batoid.RayVector(
-        *(np.array(v) for v in (rays.x, rays.y, rays.z)),
-        *(np.array(v) / n for v in (rays.dx, rays.dy, rays.dz)),
-        t=np.zeros(64), wavelength=np.full(64, wave * 1e-9), flux=np.ones(64),
-    )  # fmt: skip
+    rv = batoid_rays(batoid, rays, lens.indices(wave)[0], wave, flux=np.ones(64))
     forward, _ = batoid_lens(batoid, lens).traceSplit(rv, minFlux=1e-7)
-    theirs = {tuple(map(int, one.path)): one for one in forward}
-    end, seen = len(lens.surfaces), 0
+    theirs = {tuple(map(int, arrived.path)): arrived for arrived in forward}
+    end, compared = len(lens.surfaces), 0
     for pair in [None, *ghost_pairs(lens)]:
         got = trace_ghost(lens, pair, rays, np.ones(64), detector_reflectance=DETECTOR, absorption=False)
         j, i = pair or (end, end)
-        way = (*range(j + 1), *range(j - 1, i - 1, -1), *range(i + 1, end + 1))
-        lit, known = got.weight > 0.0, theirs.pop(way, None)
-        assert lit.sum() == (0 if known is None else len(known))
-        if known is None:
+        path = (*range(j + 1), *range(j - 1, i - 1, -1), *range(i + 1, end + 1))
+        lit, expected = got.weight > 0.0, theirs.pop(path, None)
+        assert lit.sum() == (0 if expected is None else len(expected))
+        if expected is None:
             continue
-        known = known.toCoordSys(batoid.CoordSys(lens.image_position_mm, lens.image_rotation))
-        assert got.rays.x[lit] == pytest.approx(known.x, abs=1e-9)
-        assert got.rays.y[lit] == pytest.approx(known.y, abs=1e-9)
-        assert got.weight[lit] * (1.0 - DETECTOR) == pytest.approx(known.flux, rel=1e-11)
-        seen += 1
-    assert seen > 40
+        expected = expected.toCoordSys(batoid.CoordSys(lens.image_position_mm, lens.image_rotation))
+        assert got.rays.x[lit] == pytest.approx(expected.x, abs=1e-9)
+        assert got.rays.y[lit] == pytest.approx(expected.y, abs=1e-9)
+        assert got.weight[lit] * (1.0 - DETECTOR) == pytest.approx(expected.flux, rel=1e-11)
+        compared += 1
+    assert compared > 40
     assert not theirs
 
 
 def plate(tilt_deg: float = 0.0) -> LensSystem:
     """A plane plate in front of an ideal lens."""
     face = {"kind": "plane", "semi_diameter_mm": 40.0, "tilt_deg": [tilt_deg, 0.0]}
-    return lens_from_table(
-        {
-            "name": "plate", "source": "test", "design_wavelength_nm": 550.0, "max_field_deg": 5.0,
-            "surface": [
-                {**face, "thickness_mm": 5.0, "medium": "N-BK7"},
-                {**face, "thickness_mm": 20.0, "medium": "air"},
-                {"kind": "paraxial", "focal_length_mm": 50.0, "thickness_mm": 50.0, "medium": "air",
-                 "semi_diameter_mm": 5.0, "stop": True},
-            ],
-        },
-        where="plate.toml",
+    thin = {"kind": "paraxial", "focal_length_mm": 50.0, "semi_diameter_mm": 5.0, "stop": True}
+    return table_lens(
+        {**face, "thickness_mm": 5.0, "medium": "N-BK7"},
+        {**face, "thickness_mm": 20.0, "medium": "air"},
+        {**thin, "thickness_mm": 50.0, "medium": "air"},
+        design_wavelength_nm=550.0, max_field_deg=5.0,
     )  # fmt: skip
 
 
@@ -109,16 +98,13 @@ def test_the_ghost_of_a_plane_plate(tilt_deg: float) -> None:
     air, glass, *_ = lens.indices(550.0)
     into = np.radians(tilt_deg)
     out = np.arcsin(np.sin(into) * air / glass)
-    s, p = np.sin(into - out) / np.sin(into + out) if tilt_deg else (glass - air) / (glass + air), None
+    s = np.sin(into - out) / np.sin(into + out) if tilt_deg else (glass - air) / (glass + air)
     p = np.tan(into - out) / np.tan(into + out) if tilt_deg else s
     reflectance = 0.5 * (s**2 + p**2)
-    one = trace_ghost(
-        lens, (1, 0), star_rays(launch_disks(lens, np.array([[0.0, 0.0, 1.0]]), [550.0]), sobol_disk(8, seed=0),
-                                np.array([0.0, 0.0, 1.0]), 550.0), np.ones(8), absorption=False,
-    )  # fmt: skip
-    share = (1.0 - reflectance) ** 2 * reflectance**2
-    lit = np.ravel(one.weight) > 0.0
-    assert np.ravel(one.weight)[lit] == pytest.approx(share, rel=1e-10)
+    star = np.array([0.0, 0.0, 1.0])
+    rays = star_rays(launch_disks(lens, star[None], [550.0]), sobol_disk(8, seed=0), star, 550.0)
+    weight = np.ravel(trace_ghost(lens, (1, 0), rays, np.ones(8), absorption=False).weight)
+    assert weight[weight > 0.0] == pytest.approx((1.0 - reflectance) ** 2 * reflectance**2, rel=1e-10)
     if not tilt_deg:
         assert found.flux[at] == pytest.approx(reflectance**2, rel=2e-2)  # rays through the rim of the stop
         assert found.rms_mm[at] < 1e-9
@@ -158,16 +144,13 @@ def test_no_light_is_lost_from_the_books() -> None:
 def test_a_window_before_a_mirror_telescope() -> None:
     """Light goes back over a mirror to the window; the window alone ghosts with R^2 of the image, in its place."""
     rim = {"semi_diameter_mm": 50.0}
-    telescope = {
-        "name": "telescope", "source": "test", "design_wavelength_nm": 550.0, "max_field_deg": 1.0,
-        "surface": [
-            {**rim, "kind": "plane", "thickness_mm": 10.0, "medium": "N-BK7"},
-            {**rim, "kind": "plane", "thickness_mm": 300.0, "medium": "air"},
-            {**rim, "kind": "conic", "radius_mm": -400.0, "conic": -1.0, "thickness_mm": -200.0, "medium": "mirror",
-             "stop": True},
-        ],
-    }  # fmt: skip
-    lens = lens_from_table(telescope, where="telescope.toml")
+    mirror = {"kind": "conic", "radius_mm": -400.0, "conic": -1.0, "thickness_mm": -200.0, "medium": "mirror"}
+    lens = table_lens(
+        {**rim, "kind": "plane", "thickness_mm": 10.0, "medium": "N-BK7"},
+        {**rim, "kind": "plane", "thickness_mm": 300.0, "medium": "air"},
+        {**rim, **mirror, "stop": True},
+        design_wavelength_nm=550.0,
+    )
     found = find_ghosts(lens, [0.0, 0.0, 1.0], detector_reflectance=0.25, absorption=False)
     air, glass, *_ = lens.indices(550.0)
     reflectance = ((glass - air) / (glass + air)) ** 2

@@ -100,24 +100,15 @@ def test_all_light_of_a_wide_lens_is_found_where_the_pupil_has_wandered_to(field
     direction = light_direction(star[0])
     wide = sobol_disk(count, seed=1)
     reach = 3.0 * float(disks.radius_mm[0, 0, 0])
-    rays = trace(LENS, beside(disks, direction, reach, wide))
+    centre = float(disks.x_mm[0, 0, 0]) + 0.5 * float(disks.radius_mm[0, 0, 0])
+    x, y = centre + reach * wide.x, reach * wide.y
+    rays = trace(LENS, Rays.create(x_mm=x, y_mm=y, z_mm=disks.z_mm, direction=direction, wavelength_nm=600.0))
     counted = rays.ok.mean() * math.pi * reach**2
     spot = spot_moments(LENS, [field_deg], [0.0], [600.0])
     assert float(spot.transmitted_mm2[0, 0]) == pytest.approx(counted, rel=4e-3)
     assert float(spot.x_mm[0, 0]) == pytest.approx(float(rays.x[rays.ok].mean()), abs=2e-3)
     inside = trace(LENS, star_rays(disks, wide, star[:, None], [600.0])).ok.mean() * float(disks.area_mm2[0, 0, 0])
     assert inside == pytest.approx(counted, rel=4e-3)
-
-
-def beside(disks, direction, reach, samples):
-    """Rays of a disk that is wider than that of the star and about another centre."""
-    return Rays.create(
-        x_mm=float(disks.x_mm[0, 0, 0]) + 0.5 * float(disks.radius_mm[0, 0, 0]) + reach * samples.x,
-        y_mm=reach * samples.y,
-        z_mm=disks.z_mm,
-        direction=direction,
-        wavelength_nm=600.0,
-    )
 
 
 def test_a_blocked_chief_ray_is_refused_unless_it_is_followed():

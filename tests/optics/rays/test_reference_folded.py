@@ -4,14 +4,13 @@ import warnings
 
 import numpy as np
 import pytest
+from lens_texts import table_lens
 
 from optics.glass.air import air_index
-from optics.lens.prescription import lens_from_table
 from optics.rays.trace import Rays, trace
 
 pytestmark = [pytest.mark.reference, pytest.mark.slow]
 
-HEAD = {"name": "test", "source": "made for this test", "design_wavelength_nm": 600.0, "max_field_deg": 1.0}
 STOP = {"kind": "plane", "thickness_mm": 20.0, "medium": "air", "stop": True, "semi_diameter_mm": 40.0}
 MENISCUS = [
     {"radius_mm": -105.0, "thickness_mm": 10.0, "medium": "N-BK7"},
@@ -34,7 +33,7 @@ MANGIN = [
 
 
 def ours(surfaces, start, direction):
-    lens = lens_from_table({**HEAD, "surface": surfaces}, where="test")
+    lens = table_lens(*surfaces)
     x, y = start
     rays = Rays.create(x_mm=x, y_mm=y, z_mm=-10.0, direction=direction, wavelength_nm=600.0)
     return lens, trace(lens, rays)

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from lens_texts import table_lens
 from made_lens import made_coating
 
 from optics import load_lens
 from optics.frames import field_direction, light_direction, polar_direction
-from optics.lens.prescription import lens_from_table
 from optics.light.bsdf import polished
 from optics.rays.entrance_pupil import launch_disks
 from optics.rays.ghosts import entrance_radius_mm, ghost_irradiance
@@ -19,7 +19,7 @@ TRACKER = load_lens("star_tracker_26mm")
 
 
 def loss_free(lens):
-    return replace(lens, surfaces=tuple(replace(one, coating=made_coating()) for one in lens.surfaces))
+    return replace(lens, surfaces=tuple(replace(surface, coating=made_coating()) for surface in lens.surfaces))
 
 
 def test_a_bright_sky_gives_pi_sin2_of_the_marginal_ray() -> None:
@@ -79,9 +79,9 @@ def test_a_monte_carlo_that_goes_forward_finds_the_same() -> None:
         x_mm=r * np.cos(phi) - 5.0 * direction[0] / direction[2], y_mm=r * np.sin(phi),
         z_mm=-5.0, direction=direction, wavelength_nm=lens.design_wavelength_nm,
     )  # fmt: skip
-    kept: list[Rays] = []
-    trace(lens, start, lambda at, rays: kept.append(rays) if at == number else None)
-    here = kept[0]
+    on_surfaces: list[Rays] = []
+    trace(lens, start, lambda _, rays: on_surfaces.append(rays))
+    here = on_surfaces[number]
     # a hemisphere behind the surface is left by most; directions within 35 deg of the axis reach the detector
     cosine = 1.0 - (1.0 - np.cos(np.radians(38.0))) * rng.random(count)
     turn = 2.0 * np.pi * rng.random(count)
@@ -99,7 +99,7 @@ def test_a_monte_carlo_that_goes_forward_finds_the_same() -> None:
     z = lens.surfaces[number].position_mm[2]
     rest = replace(
         lens,
-        surfaces=tuple(replace(one, is_stop=at == 0) for at, one in enumerate(lens.surfaces[number + 1 :])),
+        surfaces=tuple(replace(s, is_stop=at == 0) for at, s in enumerate(lens.surfaces[number + 1 :])),
     )
     on = trace(
         rest,
@@ -116,17 +116,12 @@ def test_a_monte_carlo_that_goes_forward_finds_the_same() -> None:
 
 def plate_lens():
     """A plane plate of index 1.5 in front of the detector, nothing else: bare glass, closed form."""
-    return lens_from_table(
-        {
-            "name": "plate", "source": "test", "design_wavelength_nm": 587.6, "max_field_deg": 20.0,
-            "surface": [
-                {"stop": True, "thickness_mm": 1.0, "medium": "air", "semi_diameter_mm": 10.0},
-                {"thickness_mm": 2.0, "medium": "N-BK7", "semi_diameter_mm": 30.0},
-                {"thickness_mm": 5.0, "medium": "air", "semi_diameter_mm": 30.0},
-            ],
-        },
-        where="test",
-    )  # fmt: skip
+    return table_lens(
+        {"stop": True, "thickness_mm": 1.0, "medium": "air", "semi_diameter_mm": 10.0},
+        {"thickness_mm": 2.0, "medium": "N-BK7", "semi_diameter_mm": 30.0},
+        {"thickness_mm": 5.0, "medium": "air", "semi_diameter_mm": 30.0},
+        max_field_deg=20.0,
+    )
 
 
 def test_the_ghost_of_a_plane_plate_is_r2_t2() -> None:

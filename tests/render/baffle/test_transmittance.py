@@ -5,24 +5,19 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from lens_texts import table_lens
 
-from optics.lens.prescription import lens_from_table
 from optics.light.bsdf import polished
 from optics.rays.ghosts import ghost_irradiance
 from render.baffle.light import BaffleLight
 from render.baffle.transmittance import CAUSES, lens_transmittance, sensor_transmittance
 from render.camera import Camera
 
-SINGLET = lens_from_table(
-    {
-        "name": "singlet", "source": "test", "design_wavelength_nm": 600.0, "max_field_deg": 10.0,
-        "surface": [
-            {"radius_mm": 25.0, "thickness_mm": 3.0, "medium": "N-BK7", "semi_diameter_mm": 5.0, "stop": True},
-            {"radius_mm": float("inf"), "thickness_mm": 46.0, "medium": "air", "semi_diameter_mm": 6.0},
-        ],
-    },
-    where="test",
-)  # fmt: skip
+SINGLET = table_lens(
+    {"radius_mm": 25.0, "thickness_mm": 3.0, "medium": "N-BK7", "semi_diameter_mm": 5.0, "stop": True},
+    {"radius_mm": float("inf"), "thickness_mm": 46.0, "medium": "air", "semi_diameter_mm": 6.0},
+    max_field_deg=10.0,
+)
 CAMERA = Camera(lens=SINGLET, width_px=100, height_px=80, pixel_pitch_mm=0.08)
 LAW, ANGLES = polished(1e-3, 0.01, -1.5).bsdf, [4.0, 20.0, 30.0, 90.0]
 
