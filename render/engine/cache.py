@@ -14,7 +14,7 @@ from optics.errors import BackendError
 
 @contextmanager
 def home_with_cache() -> Iterator[None]:
-    """A home folder that can hold a cache meanwhile: the user's own, or one below the temporary folder.
+    """Context with a home folder that can hold a cache: the user's, or one below the temporary folder.
 
     Dr.Jit makes ``$HOME/.drjit`` when it is imported and calls ``abort`` where that fails: a home that does not exist
     or is read-only, as in containers and services.

@@ -102,7 +102,7 @@ def find_llvm(folders: Iterable[str | Path]) -> Path | None:
 
 
 def _major(path: Path) -> int | None:
-    """Version of a library as its name, or on macOS and Windows its folder, tells; None if it is no such library."""
+    """Version of a library by its name, or on macOS and Windows by its folder; None for another file."""
     plain = _FILE.get(sys.platform, "libLLVM.so")
     if Path(plain).suffix not in path.suffixes:
         return None

@@ -10,8 +10,8 @@ Economics 12, 39-45, valid from a mean of 10 on. Attempt t takes its two uniform
 squeeze settles 60 to 75 % of the pixels without a logarithm; the others are gathered and continue in vectors of their
 own, because a vector of pixels lasts as long as its slowest.
 
-Neither is an approximation; both run in float64 on uniforms of 52 bits. The means are taken apart at
-`INVERSION_LIMIT`, where the two cost about the same.
+Neither is an approximation; both run in float64 on uniforms of 52 bits. They are used below and
+above `INVERSION_LIMIT`, where the two cost about the same.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def poisson(types: Any, mean: Any, pixel: Any, key: tuple[Any, Any], *, mostly_s
     words = philox4x32(types, (pixel, 0, 0, 0), key)
     first, second = uniform64(types, words[1], words[0]), uniform64(types, words[3], words[2])
     count, doubtful = _inversion(types, mean, first, small), ~small
-    if not mostly_small:  # the first attempt of PTRS, here for all at once; what it does not settle is repeated below
+    if not mostly_small:  # first attempt of PTRS for all means; unsettled ones are repeated below
         large, sure, _ = _Proposal(types, dr.select(small, 100.0, mean)).attempt(first, second)
         count, doubtful = dr.select(small, count, large), doubtful & ~sure
     count = _integer(types, count)
@@ -57,7 +57,7 @@ def poisson(types: Any, mean: Any, pixel: Any, key: tuple[Any, Any], *, mostly_s
 
 
 def _integer(types: Any, count: Any) -> Any:
-    """Half the memory of Float64, for what lies between two kernels; counts beyond 2^32 - 256 are held there."""
+    """Counts as UInt32, half the memory of Float64 between two kernels; counts beyond 2^32 - 256 are clipped."""
     return types.UInt32(dr.minimum(dr.maximum(count, 0.0), 4294967040.0))
 
 

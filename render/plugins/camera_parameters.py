@@ -29,10 +29,7 @@ _WEIGHTS = ((-2, 1.0 / 12.0), (-1, -2.0 / 3.0), (1, 2.0 / 3.0), (2, -1.0 / 12.0)
 
 
 class CameraParameters:
-    """Tensors of a camera: ``rotation``, ``attitude_rad``, ``rate_rad_per_s``, ``defocus_mm``, and the lens's own.
-
-    The last are what `optics.lens.parameters.lens_parameters` names.
-    """
+    """Tensors of a camera: ``rotation``, ``attitude_rad``, ``rate_rad_per_s``, ``defocus_mm``, `lens_parameters`."""
 
     def __init__(self, mi: Any, camera: Camera, housing_cte_per_k: float) -> None:
         self.base, self.housing_cte_per_k = camera, housing_cte_per_k

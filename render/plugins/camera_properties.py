@@ -85,7 +85,7 @@ class CameraMotion:
 
 
 def motion_of(props: Any) -> CameraMotion | None:
-    """The table of attitudes, if there is one."""
+    """The table of attitudes; None without."""
     if "motion_rotation" not in props:
         return None
     table = np.array(props["motion_rotation"], dtype=float)
@@ -113,7 +113,7 @@ def translation_of(props: Any) -> np.ndarray:
 
 
 def exposure_motion_of(props: Any, exposure_s: float) -> ExposureMotion | None:
-    """The motion under which stars are seen, of a handle or a file, if there is one."""
+    """The motion of star images, of a handle or a file; None without."""
     if "exposure_motion" not in props:
         return None
     motion = MOTIONS.named(str(props["exposure_motion"]))

@@ -36,8 +36,8 @@ first_row : int, default 0
     Row of the detector that is row 0 of the film, where the film is a window.
 
 exposure_motion : str
-    Handle (`share_motion`) or file of a `render.tracing.motion.exposure.ExposureMotion`: the attitudes under which
-    ``star_tracer`` sees the stars, in place of ``rotation``.
+    Handle (`share_motion`) or file of a `render.tracing.motion.exposure.ExposureMotion`: attitudes for the
+    stars of ``star_tracer``, in place of ``rotation``.
 
 housing_cte_per_k : float, default 23.6e-6
     Expansion of the housing, for ``temperature_c`` as a parameter.
@@ -280,7 +280,7 @@ def define(mi: Any) -> type:
             return mi.RayDifferential3f(ray), weight
 
         def _attitude(self, time: Any, sample2: Any, backward: _Backward) -> Any:
-            """Nine numbers of cam from world, row by row: one attitude for all rays, or each at its own time."""
+            """Nine numbers of cam from world, row by row: one attitude for all rays, or one per ray at its time."""
             if self._motion is None:
                 return backward.rotation
             F, motion = mi.Float64, self._motion

@@ -27,7 +27,7 @@ HANDLES: tuple[tuple[str, str, Handles[Any]], ...] = (
     ("lens_camera", "exposure_motion", MOTIONS),
     ("star_field", "collimation", COLLIMATIONS),
 )
-"""Plugin, property and handles of the properties that stand for records."""
+"""Plugin, property and handles of the properties that name records."""
 
 
 def save_scene(path: str | Path, scene: Mapping[str, Any]) -> list[Path]:
@@ -48,7 +48,7 @@ def save_scene(path: str | Path, scene: Mapping[str, Any]) -> list[Path]:
     Raises
     ------
     ConfigError
-        A handle that stands for nothing.
+        An unknown handle.
     """
     register_plugins()
     mi, path = Engine.active().mitsuba, Path(path)
@@ -71,7 +71,7 @@ def save_scene(path: str | Path, scene: Mapping[str, Any]) -> list[Path]:
 
 
 def _write_matrices(element: ElementTree.Element, value: Mapping[str, Any]) -> None:
-    """Put the transforms of a dictionary, and of those in it, into the element that stands for it."""
+    """Write the transforms of a dictionary and its nested dictionaries into its XML element."""
     named = {child.get("name"): child for child in element}
     for key, entry in value.items():
         if key in named and isinstance(entry, Mapping):

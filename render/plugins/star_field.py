@@ -30,8 +30,8 @@ wavelengths, rates and ``rotation`` are parameters of the scene (``mi.traverse``
 are set there are divided by their lengths, and their gradients are tangential: an optimiser may take any step.
 
 ``star_tracer`` images the stars themselves. To stock integrators (``path``, ``volpath``, ``prb``, ``ptracer``) the
-field is a light from discrete directions: it lights bodies, and is not seen itself, as no ray meets it by chance. In
-variants without spectra its light is grey, all photons of all bands (and an albedo what it sends back of these); in
+field is a light from discrete directions: it lights bodies, and is invisible itself, as no ray meets it by chance. In
+variants without spectra its light is grey, all photons of all bands (an albedo is the reflected fraction of these); in
 spectral ones the light of a node is spread evenly over its part of the band, per nm.
 """
 
@@ -105,7 +105,7 @@ def _of_unit_length(direction: FloatArray) -> FloatArray:
 
 
 def _cells(wavelength_nm: FloatArray) -> FloatArray:
-    """Part (low, high) of the band that every node (b, k) stands for, (b, k, 2) [nm]."""
+    """Interval (low, high) of the band around every node (b, k), (b, k, 2) [nm]."""
     nodes = np.sort(wavelength_nm, axis=1)
     if nodes.shape[1] == 1:
         half = np.full_like(nodes, 0.5 * NARROWEST_NM)
@@ -118,7 +118,7 @@ def _cells(wavelength_nm: FloatArray) -> FloatArray:
 
 
 class _DirectionalLight:
-    """What stock integrators ask for; rays and spectra are Mitsuba's own float32."""
+    """The stars as a light of stock integrators, in Mitsuba's float32."""
 
     def __init__(self, mi: Any, stars: StarField, rotation: FloatArray | None) -> None:
         self.mi, self.bands = mi, stars.wavelength_nm.size
@@ -177,11 +177,11 @@ def define(mi: Any) -> type:
             self._light: _DirectionalLight | None = None
             self.m_needs_sample_3 = True
             self.m_flags = mi.EmitterFlags.DeltaDirection | mi.EmitterFlags.Infinite
-            _ = self.stars  # refuses what is wrong now
+            _ = self.stars  # refuses wrong input now
 
         @property
         def stars(self) -> StarField:
-            """The present stars, in their own frame."""
+            """The present stars, before ``rotation``."""
             if self._stars is None:
                 arrays = {name: dr.detach(getattr(self, name)).numpy() for name, _ in TENSORS}
                 bands = arrays["wavelength_nm"].shape[0]
@@ -202,7 +202,7 @@ def define(mi: Any) -> type:
 
         @property
         def world_from_stars(self) -> FloatArray | None:
-            """``rotation`` (3, 3); None where there is none."""
+            """``rotation`` (3, 3); None without."""
             return np.array(dr.detach(self.rotation).numpy(), float).reshape(3, 3) if self.turned else None
 
         def traverse(self, callback: Any) -> None:
@@ -252,7 +252,7 @@ def define(mi: Any) -> type:
         def sample_ray(
             self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
         ) -> tuple[Any, Any]:
-            """Ray from a disk that covers the scene as a star sees it; the weight is that of ``ptracer``."""
+            """Ray from a disk across a star's direction that covers the scene; weight for ``ptracer``."""
             if not (self._radius > 0.0 or self._warned):  # no error: other scenes trace this field
                 mi.Log(mi.LogLevel.Warn, f"star_field '{self.id()}' adds no light: {NO_RADIUS}")
                 self._warned = True

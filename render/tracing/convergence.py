@@ -29,7 +29,7 @@ def damped_frequencies(diffusion_px: float, tolerance: float) -> FloatArray | No
 
 
 def frequencies_up_to(highest: float) -> FloatArray:
-    """Frequencies (f, 2) half a cycle apart on four lines through the origin."""
+    """Frequencies (f, 2) at steps of half a cycle on four lines through the origin."""
     radii = np.arange(1, math.ceil(2 * highest) + 1) * 0.5
     along = np.array([(1.0, 0.0), (0.0, 1.0), (np.sqrt(0.5), np.sqrt(0.5)), (np.sqrt(0.5), -np.sqrt(0.5))])
     return np.asarray((radii[:, None, None] * along).reshape(-1, 2))

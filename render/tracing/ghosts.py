@@ -1,4 +1,4 @@
-"""Ghosts as images: the enumerated paths of two reflections (`optics.rays.ghosts`), each rendered at its place.
+"""Ghosts as images: the enumerated paths of two reflections (`optics.rays.ghosts`), each rendered where it lands.
 
 Coarse rays at angles on both sides of a source's angle, traced once per camera, select its visible paths; these are
 traced at the mean wavelength of each band. A path's rays, each a Gaussian as wide as the spacing of rays (and at least
@@ -62,14 +62,14 @@ class GhostLight:
 class GhostTruth:
     """Ghosts of one image, g of them, each of one star, path and band."""
 
-    star: IntArray  # (g,) Row in the truth; sources beside the frame follow behind the stars
+    star: IntArray  # (g,) Row in the truth; sources outside the frame follow the stars
     band: IntArray
     back: IntArray  # (g,) Surfaces that turn the light back, then forward again; the number of surfaces is the detector
     forward: IntArray
-    x_px: FloatArray  # (g,) Column and row of its centroid, on the detector or beside it
+    x_px: FloatArray  # (g,) Column and row of its centroid, on the detector or outside
     y_px: FloatArray
     radius_px: FloatArray  # (g,) Of the uniform disk with the same RMS radius
-    electrons: FloatArray  # (g,) All of its light, and what of it lies on the detector
+    electrons: FloatArray  # (g,) All of its light, and the part on the detector
     electrons_image: FloatArray
     peak_e: FloatArray  # (g,) In the brightest pixel, taken for a uniform disk
     sharp: NDArray[np.bool_]  # (g,) Small enough to be taken for a star: a candidate for a false one
@@ -147,7 +147,7 @@ class Ghosting:
         return np.asarray((self._facing(stars, exposure_s) * most > area).any(1))
 
     def _facing(self, stars: StarField, exposure_s: float) -> FloatArray:
-        """Electrons (n, b) that the light on the first surface would be worth, if none of it were lost."""
+        """Electrons (n, b) of the light on the first surface without losses."""
         wave, area = stars.wavelength_nm, math.pi * entrance_radius_mm(self.lens) ** 2
         transmission = np.reshape(self._losses.along_axis(self.lens, wave.ravel()), wave.shape)
         rate = (stars.photon_rate * self.camera.response_at(wave) / transmission).sum(2)
@@ -163,7 +163,7 @@ class Ghosting:
         return self._paths[pair]
 
     def _visible(self, towards: FloatArray, nm: float, density: FloatArray) -> NDArray[np.bool_]:
-        """Whether each of p paths of sources in directions (n, 3) may be seen, of some electrons (n,) per mm^2."""
+        """Whether each of p paths of sources in directions (n, 3), of electrons (n,) per mm^2, may be visible."""
         area, nodes = self._areas(nm), self._angles
         at = np.searchsorted(nodes, np.arccos(np.clip(towards[:, 2], 0.0, 1.0)))
         most = np.maximum(area[np.maximum(at - 1, 0)], area[np.minimum(at, len(nodes) - 1)])
@@ -199,7 +199,7 @@ class Ghosting:
         pairs: list[tuple[int, int]],
         beam: tuple[Rays, FloatArray],
     ) -> list[tuple[Any, ...]]:
-        """Add ghosts of one source in one band, of a disk by three times as many rays; their rows of the truth."""
+        """Add ghosts of one source in one band, of a disk by triples of rays; their rows of the truth."""
         (rays, light), count, disk = beam, beam[1].size, gauss_disk(*DISK)
         extended = rays.x.size > count
         light = np.tile(light, rays.x.size // count)
@@ -263,7 +263,7 @@ class Ghosting:
 
 
 def _beside(rays: Rays, towards: FloatArray, radius_rad: float) -> Rays:
-    """Rays (n,) of a source, followed by those of two points of its rim, at right angles, from the same places."""
+    """Rays (n,) of a source, then of two points of its rim at right angles, from the same starting points."""
     side = np.cross(towards, [1.0, 0.0, 0.0] if abs(towards[0]) < 0.7 else [0.0, 1.0, 0.0])
     side = math.tan(radius_rad) * side / np.linalg.norm(side)
     rim = np.stack([towards, towards + side, towards + np.cross(towards, side)])

@@ -8,7 +8,7 @@ derivative by sampling, and is refused.
 
 Diffraction images are sums of plane waves over windows (`render.tracing.waves.adjoint`). Stamps, pixels and motion are
 those of `render.tracing.waves.images`, in double precision; images that the renderer interpolates between rays or
-between places of the field are summed ray by ray.
+between field points are summed ray by ray.
 """
 
 from __future__ import annotations
@@ -54,15 +54,14 @@ PASS_RAYS, WAVE_PASS_RAYS = 1 << 22, 1 << 19
 class LensNumbers:
     """Camera parameters of the trace as one vector: lens, lens up to the stop, launch disk, stop's radius."""
 
-    # program, front: The lens, and the lens up to its stop without apertures; both read the same parameters
-    program: LensProgram
-    front: LensProgram
+    program: LensProgram  # The lens
+    front: LensProgram  # The lens up to its stop without apertures, of the same parameters
     stop: int  # Number of the stop
     values: FloatArray  # (m,) The parameters, then centre and radius of the launch disk (4) and the radius of the stop
 
 
 def lens_numbers(camera: Camera, pupil: EntrancePupil) -> LensNumbers:
-    """Numbers of a camera, in a structure that its perturbed copies share.
+    """Numbers of a camera, in one structure for all its perturbed copies.
 
     The launch disk is the camera's or, where the stop lies inside, that of one that it is a perturbed copy of: the
     aimed ray does not depend on its start.
@@ -90,7 +89,7 @@ class AttachedPaths:
 class _LaneParameters:
     """One array, element by element, as wide as the rays: derivatives of all of them are then one vector.
 
-    Elements that nothing moves are single numbers.
+    Elements without derivatives are single numbers.
     """
 
     def __init__(self, scene: AttachedTrace, width: int, start: int = 0) -> None:
@@ -116,7 +115,7 @@ class _Bundle:
 
 
 class AttachedTrace:
-    """Arrays with derivatives that all passes share."""
+    """Arrays with derivatives, common to all passes."""
 
     def __init__(
         self, mi: Any, tracer: Tracer, numbers: LensNumbers, vector: Any, moves: BoolArray, paths: AttachedPaths
@@ -155,7 +154,7 @@ class AttachedTrace:
 
 
 def _picked(scene: AttachedTrace, plain: StarPaths) -> tuple[list[Any], list[Any]]:
-    """What `render.tracing.motion.paths.pick_times` picks, with derivatives: light of (n p,) rays, p factors (n t,)."""
+    """`render.tracing.motion.paths.pick_times` with derivatives: directions of (n p,) rays, p weights (n t,)."""
     F, U, times = scene.F, scene.U, scene.times
     count = pick_times(plain)[1].shape[2]
     if count == 1:
@@ -190,7 +189,7 @@ def star_image(
     rate: Any,
 ) -> Any:
     """Electrons of every pixel and band (h w b,) as an array with derivatives."""
-    # vector (m,): values of ``numbers``, with derivatives where it moves (m,); rate (n b k,) with derivatives
+    # vector (m,): values of ``numbers``, with derivatives where ``moves`` (m,); rate (n b k,) with derivatives
     if tracer.camera.scatter is not None:
         raise ConfigError("derivatives of halos are not available; leave Camera.scatter out")
     if stars.collimation is not None:
@@ -248,7 +247,7 @@ def _sample(
     points: PupilPoints,
     wavelength_nm: FloatArray,
 ) -> Sample:
-    """Points inside outlines, which move with lens and direction, or of a table, which nothing moves."""
+    """Points inside outlines, with derivatives, or of a table, without."""
     if isinstance(points, OutlinePoints):
         assert outlines is not None
         return _outline_points(scene, outlines, part, points, wavelength_nm)
@@ -536,7 +535,7 @@ def _plane_waves(
         star = dr.gather(U, members, slot // bands)
         return slot, node, point, star, dr.gather(F, waves, slot % bands * colours + node)
 
-    # a ray and two beside it are lanes of one trace: three traces would be compiled one by one, with their derivatives
+    # a ray and its two neighbours are lanes of one trace: three traces would be compiled separately
     every = dr.arange(U, 3 * total)
     slot, node, point, star, wave = lane_indices(every // 3)
     px, py, _ = sample(slot, node, point)

@@ -19,14 +19,14 @@ from render.records import Truth
 from render.tracing.motion.exposure import IdealLens
 
 LEAST_E = 0.1
-"""Electrons of a pixel at which halos end where the camera does not tell."""
+"""Electrons of a pixel at which halos end by default."""
 NEAR_PX, PARTS = 12, 12
 """Distance within which the law is averaged over pixels, and points along either side of one."""
 KNOTS = 4000
 
 
 def with_scattered(truth: Truth, tis: float) -> Truth:
-    """Truth of stars that were rendered without the part of their light that is scattered, with all of it."""
+    """Truth with all light, of stars rendered without the scattered part of it."""
     per_unscattered = 1.0 / (1.0 - tis)
     lost = {name: getattr(truth, f"electrons_{name}") for name in ("vignetted", "hidden", "absorbed")}
     transmitted_e = truth.electrons_in - sum(lost.values())

@@ -62,7 +62,7 @@ def render_epsf(
     Raises
     ------
     DomainError
-        On an odd oversampling, or what the tracer raises.
+        On an odd oversampling, or as the tracer.
     """
     _check_even("render_epsf", oversampling)
     cells = tracer.centred_cells(stars, half_size_px=half_size_px, cells_per_px=oversampling)
@@ -88,7 +88,7 @@ def ray_epsf(
 
     Rays are counted in cells of 1/``oversampling`` pixel, the cells convolved with the diffusion kernel and added up to
     pixels. Counting is exact for pixels at whole cells from the mean; rays have to lie closer than the kernel is wide.
-    What the mean of the cells is off that of the rays, up to half a cell for a point, the kernel takes back.
+    The kernel is shifted by the difference of the means of rays and cells, up to half a cell.
     """
     # x_px, y_px (n,), weight (n,)
     _check_even("ray_epsf", oversampling)
@@ -123,7 +123,7 @@ def trailed(psf: EffectivePsf, trail_px: FloatArray) -> EffectivePsf:
     more = math.ceil(0.5 * float(np.abs(trail_px).max())) * psf.oversampling
     values = np.pad(psf.values, more)
     size = len(values)
-    padded = size + 2 * more + 1  # what runs out on one side must not come in on the other
+    padded = size + 2 * more + 1  # room for light that would wrap around
     frequency = np.fft.fftfreq(padded, 1.0 / psf.oversampling)  # cycles per pixel
     along = frequency[None, : padded // 2 + 1] * trail_px[0] + frequency[:, None] * trail_px[1]
     values = np.fft.irfft2(np.fft.rfft2(values, (padded, padded)) * np.sinc(along), (padded, padded))
@@ -168,12 +168,12 @@ def of_disk(psf: EffectivePsf, radius_px: float) -> EffectivePsf:
 
 ORDER = (12, 48)
 """Rings and azimuths of rays that phase and amplitude of a clear pupil are fitted to."""
-PIXEL_SHARE = 1e-4
-"""Light is sampled so finely that frequencies folded onto others are let through by the pixel to this part."""
+FOLDED = 1e-4
+"""Transmission by the pixel of frequencies that are folded onto others by sampling."""
 HIGHEST_PER_PX = 6.0
 """Frequencies that a pixel without diffusion is followed to."""
 SIGMAS = 6.0
-"""Of charge diffusion, beyond which a pixel sees nothing."""
+"""Reach of charge diffusion in standard deviations."""
 ROOM = 1.2
 """Repeat distance of the images that an even pupil makes, in widths of the window: 3e-5 of a pixel's light from 1.8."""
 
@@ -183,16 +183,15 @@ class MonochromaticImages:
     """Diffraction images of f fields at w wavelengths on a fine grid, each about the mean of its light."""
 
     offset_px: FloatArray  # (n,) Rows and columns of the grid
-    light: NDArray[np.float32]  # (f, w, n, n) Share of the light of the wavelength per px^2
+    light: NDArray[np.float32]  # (f, w, n, n) Light per px^2 over that of the wavelength
     mean_px: FloatArray  # (f, w, 2) Mean of all light on the pixels, column and row
     area_mm2: FloatArray  # (f, w) Cross-section of the beam
     diffusion_px: float  # Standard deviation of the Gaussian charge diffusion
-    # oversampling, half_size_px: Of the PSFs: samples per pixel, half-width
-    oversampling: int
-    half_size_px: int
+    oversampling: int  # Samples of the PSFs per pixel
+    half_size_px: int  # Half-width of the PSFs
 
     def psfs(self, spectrum: FloatArray) -> tuple[EffectivePsf, ...]:
-        """PSFs (f) of light of which each wavelength (w,) has a share, centred on the mean of all of it."""
+        """PSFs (f) of light of a spectrum (w,), centred on the mean of all of it."""
         reach = self.half_size_px * self.oversampling
         position_px = np.arange(-reach, reach + 1) / self.oversampling
         psfs = []
@@ -209,7 +208,7 @@ class MonochromaticImages:
         """Weights (p, n) of the samples in the light of pixels at places."""
         distance = np.abs(place_px[:, None] - self.offset_px)
         step = float(self.offset_px[1] - self.offset_px[0])
-        if self.diffusion_px <= 0.0:  # parts of the samples' own cells
+        if self.diffusion_px <= 0.0:  # parts of the samples' cells
             return np.clip(0.5 * (1.0 + step) - distance, 0.0, step).astype(np.float32)
         weights, scale = np.zeros(distance.shape, np.float32), 1.0 / (math.sqrt(2.0) * self.diffusion_px)
         near = distance < 0.5 + SIGMAS * self.diffusion_px
@@ -242,7 +241,7 @@ def wave_images(
     highest *= pitch_mm
     resolved = HIGHEST_PER_PX
     if diffusion_px > 0.0:
-        resolved = min(resolved, math.sqrt(-math.log(PIXEL_SHARE) / 2.0) / (math.pi * diffusion_px))
+        resolved = min(resolved, math.sqrt(-math.log(FOLDED) / 2.0) / (math.pi * diffusion_px))
     per_px = math.ceil(highest + min(highest, resolved))
     count = math.ceil(2.0 * half_px * per_px)
     offset = (np.arange(count) - 0.5 * (count - 1)) / per_px

@@ -48,7 +48,7 @@ class TracedStars:
     electrons: NDArray[np.float32]
     truth: Truth
     sampling: Sampling
-    halo: NDArray[np.float32] | None = None  # What of the image is scattered light
+    halo: NDArray[np.float32] | None = None  # Scattered light of the image
 
     def layers(self) -> dict[str, NDArray[np.float32]]:
         """Light (h, w, b) of the ``stars`` and of their halos (``scatter``), which add up to the image."""
@@ -61,17 +61,17 @@ class ImageMaker(Protocol):
     """Makes images of the stars of one camera."""
 
     def add(self, light: NodeLight, exposure: PlannedExposure, image: NDArray[np.float32], sums: TruthSums) -> Sampling:
-        """Add stars to the image (h, w, b) and what is known of them to the sums; how they were sampled.
+        """Add stars to the image (h, w, b) and their truth to the sums; how they were sampled.
 
         An image without pixels: the truth of rays alone.
         """
 
     def cells(self, light: NodeLight, exposure: PlannedExposure, half_size_px: int, cells_per_px: int) -> FloatArray:
-        """Light per cell (n, b, m, m) of squares about the mean of all light, in shares of what arrives."""
+        """Light per cell (n, b, m, m) of squares about the mean of all light, over what arrives."""
 
 
 class Tracer:
-    """Renders star fields through one camera; holds what can be reused between fields.
+    """Renders star fields through one camera; lens and plans are reused between fields.
 
     The image depends on the camera, the settings below, star field and motion alone, not on earlier calls.
 
@@ -85,7 +85,7 @@ class Tracer:
     tolerance : float
         Of the quadrature, see `render.tracing.pupil.quadrature_order`.
     general : bool
-        Compile the lens with general poses, so that all perturbed copies of it share their kernels.
+        Compile the lens with general poses: one set of kernels for all its perturbed copies.
     by_grid : bool
         By waves: few stars too are taken from a grid of images over the field, which pays where many fields follow.
     """
@@ -228,7 +228,7 @@ class Tracer:
         return np.stack(self.camera.to_pixel(*(weighted_mean(v, weight * area) for v in (x, y))), axis=-1)
 
     def centred_cells(self, stars: StarField, *, half_size_px: int, cells_per_px: int) -> FloatArray:
-        """Light of every star and band on a fine grid around its bundle mean: share of the collected light per cell.
+        """Light of every star and band on a fine grid around its bundle mean: fraction of the collected light per cell.
 
         (n, b, m, m), m = (2 ``half_size_px`` + 1) * ``cells_per_px``: the grid ends half a pixel beyond
         ``half_size_px``.

@@ -56,10 +56,9 @@ def check_lit(position_px: FloatArray) -> None:
 class RayMoments:
     """Ray moments of s stars in b bands."""
 
-    # mean_px, variance_px2: (s, b, 2) Mean and variance of the landing points along columns and rows
-    mean_px: FloatArray
-    variance_px2: FloatArray
-    # (s, b) Light that the stop alone would let through in that of the launch disk; None where others know it
+    mean_px: FloatArray  # (s, b, 2) Mean of the landing points along columns and rows
+    variance_px2: FloatArray  # (s, b, 2) Their variance
+    # (s, b) Light that the stop alone would let through over that of the launch disk; None if already stored
     entrance: FloatArray | None = None
 
 
@@ -67,21 +66,20 @@ class RayMoments:
 class WaveStamps:
     """Stamps of s stars, all of one size."""
 
-    stars: IntArray  # (s,) Which
-    pixels: FloatArray | NDArray[np.float32]  # (s, b, m, m) Share of the light sent into the launch disk per pixel
+    stars: IntArray  # (s,)
+    pixels: FloatArray | NDArray[np.float32]  # (s, b, m, m) Light per pixel over the light sent into the launch disk
     corner_px: FloatArray  # (s, b, 2) Outer corner (column, row)
     mean_px: FloatArray  # (s, b, 2) Centroid of all light of the image, on the stamp or beyond, NaN without light
-    light: FloatArray  # (s, b) Share of the light that gets through the lens
+    light: FloatArray  # (s, b) Light that gets through the lens, likewise
     rays: int  # Of a star, band and wavelength
     mode: str  # How the pupils were sampled
-    # Of the stars' rays, where no others tell more: those of cells, of which some are covered in part, do not
-    moments: RayMoments | None = None
-    clear: FloatArray | None = None  # (s, b) The same without what surfaces and glasses take on top of the axis's part
+    moments: RayMoments | None = None  # Of the stars' rays; not of cells, some of which are covered in part
+    clear: FloatArray | None = None  # (s, b) ``light`` before losses in surfaces and glasses beyond those of the axis
 
 
 @dataclass(frozen=True, slots=True)
 class TruthSums:
-    """Truth under construction, every field (n, b) or, of places, (n, b, 2): column and row; NaN until stored."""
+    """Truth under construction, every field (n, b) or, of positions, (n, b, 2): column and row; NaN until stored."""
 
     chief: FloatArray
     bundle: FloatArray
@@ -98,10 +96,10 @@ class TruthSums:
 
     @classmethod
     def empty(cls, stars: int, bands: int) -> TruthSums:
-        """Nothing known yet, and nothing beyond stamps."""
-        places, light = np.full((4, stars, bands, 2), np.nan), np.full((8, stars, bands), np.nan)
+        """NaN, and no light beyond stamps or absorbed."""
+        positions, light = np.full((4, stars, bands, 2), np.nan), np.full((8, stars, bands), np.nan)
         light[[4, 7]] = 0.0
-        return cls(*places, *light)
+        return cls(*positions, *light)
 
     def store(
         self,
@@ -134,7 +132,7 @@ class TruthSums:
         self.absorbed[stars] = (moments[..., CLEAR] - passed) * electrons_in
 
     def store_waves(self, stamps: WaveStamps, electrons_in: FloatArray, on_image: FloatArray) -> None:
-        """Store diffraction images of stars whose rays are stored, or passed with them; parameters as `store`."""
+        """Store diffraction images of stars, and the moments of their rays if they have some; parameters as `store`."""
         stars, landed = stamps.stars, stamps.pixels.sum((2, 3), dtype=np.float64)
         if (rays := stamps.moments) is not None:
             self.bundle[stars], self.variance[stars] = rays.mean_px, rays.variance_px2
@@ -158,10 +156,10 @@ class TruthSums:
 
     def truth(self, electrons: FloatArray) -> Truth:
         """The finished record, from the light of the launch disk (n, b)."""
-        places = {"chief_{}_px": self.chief, "bundle_{}_px": self.bundle, "photon_{}_px": self.photon}
-        places["variance_{}_px2"] = self.variance
+        positions = {"chief_{}_px": self.chief, "bundle_{}_px": self.bundle, "photon_{}_px": self.photon}
+        positions["variance_{}_px2"] = self.variance
         return Truth(
-            **{name.format(axis): v[..., i] for name, v in places.items() for i, axis in enumerate("xy")},
+            **{name.format(axis): v[..., i] for name, v in positions.items() for i, axis in enumerate("xy")},
             electrons_in=electrons * self.entrance,
             electrons_image=self.image,
             electrons_vignetted=self.vignetted,

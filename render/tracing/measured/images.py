@@ -6,7 +6,7 @@ Gaussians, :math:`\Sigma` each. The part of their covariance that makes ellipses
 .. math:: \Sigma = \mathrm{diag}(\sigma_x^2 (1-|\rho|), \sigma_y^2 (1-|\rho|)) + v v^T,
           \quad v = \sqrt{|\rho|}\,(\sigma_x, \pm\sigma_y),
 
-along which Gauss-Hermite nodes stand for it: an oblique Gaussian is a sum of upright ones, whose integrals over pixels
+represented by Gauss-Hermite nodes: an oblique Gaussian is a sum of upright ones, whose integrals over pixels
 are products of error functions. Light, mean and covariance are exact, values to `LINE_ERROR` of the peak. Light beyond
 `REACH` standard deviations of the widest Gaussian is not on the stamp (1e-10 of its light) and is accounted for. Charge
 diffusion adds to every covariance. Under a rolling shutter Gaussians are sheared as spots are
@@ -40,10 +40,10 @@ from render.tracing.truth import Sampling, TruthSums, add_stamps, check_lit
 REACH = 6.5
 """Standard deviations of a Gaussian along each axis that a stamp holds."""
 LINE_ERROR = 1e-6
-"""Error of an oblique Gaussian made of upright ones, over its peak."""
+"""Error of a sum of upright Gaussians for an oblique one, over its peak."""
 STRAIGHT = 1e-12
 CORRELATIONS, MOST_CORRELATED = 20, 0.975
-"""Steps of the correlation that have numbers of nodes of their own; beyond the last one the error grows."""
+"""Steps of the correlation, each with its number of nodes; beyond the last one the error grows."""
 LINE_NODES, MOST_LINE_NODES = 4, 400
 """Nodes of a line that are common, and the most."""
 STAMP_LIMIT_PX = 1024
@@ -69,7 +69,7 @@ class MeasuredPlanner(PupilPlanner):
         return np.asarray(self.measured_camera.centre_px + position / self.measured_camera.pixel_pitch_mm)
 
     def chiefs(self, kernel: StarKernel, wavelength_nm: FloatArray) -> Chiefs:
-        """Places of the stars of a kernel at the mean of each band's nodes (b, k)."""
+        """Positions of the stars of a kernel at the mean of each band's nodes (b, k)."""
         direction = kernel.direction[:, :1]
         position = self.position_px(direction, wavelength_nm.mean(1))
         x, y = position[..., 0], position[..., 1]
@@ -89,7 +89,7 @@ class MeasuredImages:
         self._widest_px = float(np.hypot(np.sqrt(variance_mm2) / self.camera.pixel_pitch_mm, self.camera.blur_px))
 
     def add(self, light: NodeLight, exposure: PlannedExposure, image: NDArray[np.float32], sums: TruthSums) -> Sampling:
-        """Add stars to the image and what is known of them to the sums; how they were sampled."""
+        """Add stars to the image and their truth to the sums; how they were sampled."""
         hidden, electrons = self._hidden(exposure), light.electrons
         paths, size = exposure.paths, np.array([self.camera.width_px, self.camera.height_px])
         received = (self.planner.received(paths.nodes) * paths.weight).sum(1)[:, None]
@@ -124,7 +124,7 @@ class MeasuredImages:
         return means
 
     def cells(self, light: NodeLight, exposure: PlannedExposure, half_size_px: int, cells_per_px: int) -> FloatArray:
-        """Light per cell (n, b, m, m) of squares about the centroids, in shares of what arrives."""
+        """Light per cell (n, b, m, m) of squares about the centroids, over what arrives."""
         stamp_px = 2 * half_size_px + 1
         centre = self.means(light, exposure)
         check_lit(centre)
@@ -135,7 +135,7 @@ class MeasuredImages:
         return cells
 
     def _lit(self, exposure: PlannedExposure) -> IntArray:
-        """Stars that have a position all the time."""
+        """Stars with a position at all times."""
         return np.flatnonzero((self.planner.received(exposure.paths.nodes) > 0.0).all(1))
 
     def _hidden(self, exposure: PlannedExposure) -> FloatArray:
@@ -154,7 +154,7 @@ class MeasuredImages:
     def _passes(
         self, light: NodeLight, exposure: PlannedExposure, stars: IntArray, side: int = 0
     ) -> Iterator[IntArray]:
-        """Stars whose stamps are nearly of one size, as many as are held at a time."""
+        """Batches of stars whose stamps are of similar size, limited by `PASS_NUMBERS`."""
         paths, psf = exposure.paths, self.planner.lens.psf
         moved = np.diff(paths.shift_px[stars], axis=1).max((1, 2)) if len(stars) else np.empty(0)
         size = np.maximum(moved + 2.0 * REACH * self._widest_px + 2.0, side)
@@ -197,7 +197,7 @@ def _gaussians(
     weight: FloatArray,
     shear: FloatArray | None = None,
 ) -> _Gaussians:
-    """Gaussians of light at places (s, b, t, k, 2) with their shares (s, b, t, k)."""
+    """Gaussians of light at positions (s, b, t, k, 2) with weights (s, b, t, k)."""
     at_mm = (position_px - camera.centre_px) * camera.pixel_pitch_mm
     part, offset, covariance = lens.psf.at(at_mm[..., 0], at_mm[..., 1], wavelength_nm)
     mean = position_px[..., None, :] + offset / camera.pixel_pitch_mm
@@ -228,7 +228,7 @@ def measured_psfs(
     oversampling: int = 8,
     half_size_px: int = 7,
 ) -> tuple[EffectivePsf, ...]:
-    """Effective PSFs of stars in directions (f, 3), about their centroids; wavelengths (w,) with their shares."""
+    """Effective PSFs of stars in directions (f, 3), about their centroids; wavelengths (w,) with weights."""
     lens = camera.lens.measured
     assert lens is not None
     position = camera.centre_px + lens.position_mm(direction[:, None], wavelength_nm) / camera.pixel_pitch_mm
@@ -275,13 +275,13 @@ class _Gaussians:
         return np.asarray(np.swapaxes(y * weight[..., None], -1, -2) @ x)
 
     def _upright(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Weights (s, b, g), centres and standard deviations (s, b, g, 2) of upright Gaussians that stand for these."""
+        """Weights (s, b, g), centres and standard deviations (s, b, g, 2) of upright Gaussians in their place."""
         variance, between = self.covariance_px2[..., :2], self.covariance_px2[..., 2]
         correlation = between / np.sqrt(variance.prod(-1))
         steepest = np.abs(correlation).max((0, 1), initial=0.0)
         steps = np.where(steepest < STRAIGHT, 0, np.ceil(CORRELATIONS * steepest)).astype(int)
         parts = []
-        for step in np.unique(steps):  # each Gaussian with as many nodes as it needs
+        for step in np.unique(steps):  # Gaussians by their number of nodes
             some = np.flatnonzero(steps == step)
             node, node_weight = line_nodes(int(step))
             rho = correlation[:, :, some, None]
@@ -302,7 +302,7 @@ class _Gaussians:
 def line_nodes(correlation: int) -> tuple[FloatArray, FloatArray]:
     """Gauss-Hermite nodes and weights of the line in Gaussians of a correlation, in units of 1 / `CORRELATIONS`.
 
-    In coordinates in which what is left beside the line is a round Gaussian of unit width, the line is one of variance
+    In coordinates in which the remainder without the line is a round Gaussian of unit width, the line has the variance
     2 |rho| / (1 - |rho|) at 45 deg. Their number is the lowest that makes the sum a Gaussian to `LINE_ERROR`.
     """
     if correlation == 0:

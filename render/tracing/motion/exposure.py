@@ -1,10 +1,10 @@
 """Motion of the camera during an exposure, as a few attitudes with weights; global and rolling shutter.
 
-Time is integrated by Gauss-Legendre nodes over a row's own exposure. Their number is found by trial: the image of a
+Time is integrated by Gauss-Legendre nodes over the exposure of a row. Their number is found by trial: the image of a
 star that moves is convolved with its path, and the first number is taken whose damped characteristic function of the
 path (`render.tracing.convergence`), at the centre and the corners of the detector, agrees with the next one's to the
 tolerance. The spot is taken for a point, as some are nearly: about 4 nodes per pixel of the path with a diffusion of
-0.18 px. Where stars are seen at these nodes is `render.tracing.motion.paths`.
+0.18 px. Directions of stars at these nodes: `render.tracing.motion.paths`.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from render.tracing.convergence import (
 )
 
 PANEL = 24
-"""Nodes of each of the rules that large numbers of nodes are made of."""
+"""Nodes of each panel of a composite rule."""
 NODE_LADDER = (
     *(1, 2, 3, 4, 5, 6, 8, 10, 12, 15, 18, 22, 27, 33, 40, 49, 59, 72, 88, 107, 131, 160, 195, 238, 290),
     *(PANEL * panels for panels in (15, 18, 22, 27, 33, 40, 49, 59, 72, 88)),
@@ -179,7 +179,7 @@ def _converged_count(
 
 
 def _spline(trajectory: Trajectory, mid: Rotation, focal_px: float, start_s: float, end_s: float) -> CubicSpline:
-    """Rotation vectors from the middle attitude against time, with as many knots as `PATH_ERROR_PX` needs."""
+    """Spline of rotation vectors from the middle attitude against time, accurate to `PATH_ERROR_PX`."""
     inverse, count = mid.inv(), 9
 
     def turned(times: FloatArray) -> FloatArray:
@@ -206,7 +206,7 @@ class IdealLens:
 
     @classmethod
     def of(cls, camera: Camera) -> IdealLens:
-        """The one of a camera."""
+        """Ideal lens of a camera."""
         focal_mm = abs(axial_paraxial(camera.lens, camera.lens.design_wavelength_nm).efl_mm)
         return cls(camera.centre_px, focal_mm / camera.pixel_pitch_mm)
 

@@ -42,7 +42,7 @@ def rolling_paths(
 ) -> StarPaths:
     """Apparent directions of stars (n, 3) at the times of their rows.
 
-    Without chief rays' rows (n,), and the scale and turn (n,) of paths against an ideal lens, those of an ideal lens.
+    Rows of chief rays (n,), and scale and turn (n,) of the paths relative to an ideal lens, which is the default.
     """
     assert motion.path is not None
     n, path, line, last_row = len(direction), motion.path, motion.line_time_s, camera.height_px - 1.0
@@ -78,7 +78,7 @@ def rolling_paths(
         )
     directions, position_px = directions_at(times), positions_px(times)
     rows = position_px[..., 1:] + correction[..., None]
-    per_line = np.where((rows > 0.0) & (rows < last_row), per_line, 0.0)  # beside the detector no row is exposed
+    per_line = np.where((rows > 0.0) & (rows < last_row), per_line, 0.0)  # outside the detector no row is exposed
     shear = np.concatenate([np.clip(rows, 0.0, last_row), per_line], axis=-1)
     return StarPaths(
         mid=directions[:, -1],

@@ -9,9 +9,9 @@ of the beam its shadow has an outline of the same kind, and the nodes lie betwee
 
 Where several apertures cut the beam the outline is the least of several smooth functions of the azimuth, one per
 aperture (`Arcs`). It is sampled coarsely; where the aperture that limits the beam changes, there is a kink, and each
-arc between two of them gets a rule of its own, at whose azimuths the outline is found exactly. A kink that is misplaced
+arc between two of them gets its Gauss rule, at whose azimuths the outline is solved exactly. A kink that is displaced
 by d costs its change of slope times d^2 / 2, so that two steps of false position for the difference of the heights on
-the two apertures are enough (d is some 1e-4). An arc between two samples is missed; what lies beyond it is at most 2e-5
+the two apertures are enough (d is some 1e-4). An arc between two samples is missed; the light beyond it is at most 2e-5
 of the light.
 """
 
@@ -34,7 +34,7 @@ PLASTIC = 1.324717957244746
 ARMS = 10
 """Azimuths at which the stop's outline is found; its harmonics fall by a factor of five or more each."""
 HARMONIC_LEFT = 1e-6
-"""Largest amplitude of the highest harmonic, in radii of the launch disk, for which the others are believed."""
+"""Largest amplitude of the highest harmonic, in radii of the launch disk, of a smooth outline."""
 BETWEEN = 0.04
 """How much higher than on the sampled rays a beam may reach between them, in units of its range of heights."""
 WAVELENGTHS = 5
@@ -138,15 +138,11 @@ class Outlines:
     """Outlines of the beams of n stars in b bands."""
 
     lens: AimedLens
-    picks: NodePicks  # Where they are found
+    picks: NodePicks  # Nodes at which they are solved
     chief: FloatArray  # (n, b, 2) Centres of the azimuths
-    # (n, b, picked nodes, m) As the stop alone makes them, at m equidistant azimuths; NaN where no ray touches its
-    # rim
-    radius: FloatArray
-    # clear, cut: (n,) Stars limited by the stop alone; stars for which other apertures count too. Others have no
-    # outline
-    clear: NDArray[np.bool_]
-    cut: NDArray[np.bool_]
+    radius: FloatArray  # (n, b, picked nodes, m) By the stop alone, at m equidistant azimuths; NaN without
+    clear: NDArray[np.bool_]  # (n,) Stars limited by the stop alone
+    cut: NDArray[np.bool_]  # (n,) Stars limited by other apertures too; others have no outline
     shadow: FloatArray | None = None  # (n, b, picked nodes, m) Outlines of the shadow in the middle, where there is one
 
     def points(self, order: tuple[int, int], stars: IntArray) -> OutlinePoints:
@@ -219,7 +215,7 @@ def _only_the_stop(rims: Rims) -> NDArray[np.bool_]:
 
 
 def _smooth(radius: FloatArray) -> NDArray[np.bool_]:
-    """Stars (n,) whose outlines (n, b, k, `ARMS`) are believed."""
+    """Stars (n,) whose outlines (n, b, k, `ARMS`) are smooth."""
     highest = np.abs(radius @ (-1.0) ** np.arange(ARMS)) / ARMS
     return np.asarray((highest < HARMONIC_LEFT).all((1, 2)))
 
@@ -241,14 +237,12 @@ class Arcs:
     """Outlines with kinks of some of a kernel's stars."""
 
     lens: AimedLens
-    picks: NodePicks  # Where they are found
+    picks: NodePicks  # Nodes at which they are solved
     stars: IntArray  # (s,) Which of the kernel's stars, ascending
     centre: FloatArray  # (s, b, 2) Of the azimuths, in radii of the launch disk
     radius: FloatArray  # (s, b, picked nodes, `COARSE`) Coarse outline
-    # start, length: (s, b, picked nodes, `MOST_ARCS`) Arcs [rad]; length 0 for none, one of 2 pi where there is no
-    # kink
-    start: FloatArray
-    length: FloatArray
+    start: FloatArray  # (s, b, picked nodes, `MOST_ARCS`) Start of the arcs [rad]
+    length: FloatArray  # Their length; 0 for none, one of 2 pi without a kink
 
     def points(self, order: tuple[int, int], stars: IntArray) -> OutlinePoints:
         """Quadrature points of a number of rings and azimuths for some of the stars."""
@@ -257,7 +251,7 @@ class Arcs:
         azimuth, weight = _rule(self.start[at], self.length[at], order[1], alike=not picks.every)
         beams = OutlineSearch(self.lens, picks.kernel, self.centre[at], picks.wavelength_nm, azimuth, stars)
         rims = beams.rims()
-        rim = np.where(rims.good, rims.radius, np.nan)  # rays are lost, and the star goes to other points
+        rim = np.where(rims.good, rims.radius, np.nan)  # its rays are lost, and the star is sampled otherwise
         shadow = None
         if self.lens.holes:
             dark, clear = beams.shadow()
@@ -309,8 +303,8 @@ def _gauss_tables(sizes: IntArray) -> tuple[FloatArray, FloatArray]:
 def _rule(start: FloatArray, length: FloatArray, arms: int, alike: bool) -> tuple[FloatArray, FloatArray]:
     """Azimuths and weights (s, b, k, arms), sum 1: on every arc a number in proportion to its length, two at least.
 
-    ``alike``: the same for all nodes of a star, which all have as many arcs, so that they can be interpolated; an arc
-    has as many as it needs where it is longest.
+    ``alike``: equal numbers for all nodes of a star, by the greatest length of each arc, so that nodes can be
+    interpolated.
     """
     real = length > 0.0
     most = np.broadcast_to(length.max(2, keepdims=True), length.shape) if alike else length
@@ -399,7 +393,7 @@ def _coarse_kinks(height: FloatArray) -> tuple[_Kinks, NDArray[np.bool_]]:
 
 
 def _between(kinks: _Kinks) -> tuple[FloatArray, FloatArray]:
-    """Start and length (..., `MOST_ARCS`) of the arcs between kinks; one whole turn where there is none."""
+    """Start and length (..., `MOST_ARCS`) of the arcs between kinks; a full turn without kinks."""
     number = kinks.used.sum(-1, keepdims=True)
     start = np.where(kinks.used, kinks.azimuth(), 0.0)
     end = np.roll(start, -1, axis=-1)

@@ -57,14 +57,14 @@ Order = tuple[int, int]
 Points = Callable[[IntArray], PupilPoints]
 
 MOTION_FIELDS = (0, 1, 6, 9, 12, 15)
-"""Probe fields that judge under motion."""
+"""Probe fields of trials under motion."""
 MOST_TRIAL_TIMES = 72
-"""Time nodes of a trial; a longer trail is judged by a part of it."""
+"""Time nodes of a trial; of a longer trail a part is tried."""
 LEAST_ORDER, LEAST_ARC_ORDER = (2, 3), (2, 20)
 LEAST_DAMPED = 0.72
 """Charge diffusion [px] times the highest frequency below which too much of that is left."""
 MOST_RAYS = 1 << 18
-"""Rays per star and band beyond which no quadrature is tried; fewer Sobol points come as near as 1e-4."""
+"""Rays per star and band beyond which no quadrature is tried; Sobol points are within 1e-4."""
 UNBLURRED_MORE = 2
 """Increase of the logarithm of the number of Sobol points then: a pixel's edge counts rays, and what that misses falls
 as their number to the power -3/4 (4e-4 of the light by 2^16, below 1e-4 by 2^18)."""
@@ -75,8 +75,7 @@ MEANS_RUNG = 4
 WIDEST_TRIAL_PX = 200
 """Size of the stamps of a trial; wider spots are left to Sobol points."""
 SHADE_LOG2_RAYS, SHADE_RAYS = 14, 1 << 27
-"""Rays of a star that find out whether something stands in its beam (what hides 3e-4 of it is hardly missed); rays of
-all stars at a time."""
+"""Rays of a star that detect a body in its beam (of 3e-4 of it, nearly always); rays of all stars at a time."""
 BOUND_RAYS = 1 << 20
 DISTORTION = 0.05
 """Assumed deviation of an image path from that of an ideal lens, as a fraction; larger ones are rendered again."""
@@ -89,15 +88,14 @@ class PlannedExposure:
     """Stars of an exposure; made by `PupilPlanner.exposure`."""
 
     planner: PupilPlanner
-    # mid, nodes: In the middle of the exposure, and at its time nodes; the same for a camera at rest
-    mid: StarKernel
-    nodes: StarKernel
-    picks: NodePicks  # Where outlines are found
+    mid: StarKernel  # In the middle of the exposure
+    nodes: StarKernel  # At its time nodes; ``mid`` for a camera at rest
+    picks: NodePicks  # Nodes at which outlines are solved
     paths: StarPaths
     length_px: float  # Length of the paths
     wavelength_nm: FloatArray  # (b, k) All wavelengths
-    shade: Shade | None  # What stands between the sky and the lens
-    shaded: BoolArray | None  # (n,) Stars whose beam, or the disk beside it, it stands in
+    shade: Shade | None  # Bodies between the sky and the lens
+    shaded: BoolArray | None  # (n,) Stars with a body in their beam or in the disk around it
     known_chiefs: Chiefs | None = None  # In place of those at the mean of each band's wavelengths
 
     @cached_property
@@ -124,7 +122,7 @@ class Bounds:
 
     @classmethod
     def empty(cls, stars: int, bands: int) -> Bounds:
-        """Nothing known yet."""
+        """No rays yet."""
         shape = (stars, bands, 2)
         return cls(np.full(shape, np.inf), np.full(shape, -np.inf), np.zeros(stars, bool))
 
@@ -169,7 +167,7 @@ class Group:
     outlines: Outlines | Arcs | None = None
     turns: Callable[[int], FloatArray] | None = None
     order: Order = (0, 0)  # Of the points of rays; sums of waves find their order star by star
-    error: float = math.nan  # What it was judged by (`converged_order`)
+    error: float = math.nan  # Of the points (`converged_order`)
 
     @property
     def rays(self) -> int:
@@ -269,7 +267,7 @@ class PupilPlanner:
         shade: Shade | None = None,
         chiefs: Chiefs | None = None,
     ) -> PlannedExposure:
-        """Plan of an exposure; chief rays are aimed where they are not yet known."""
+        """Plan of an exposure, which aims the chief rays unless they are given."""
         mid = nodes = self.kernel(paths.mid, collimation=paths.collimation)
         if paths.nodes.shape[1] == 1 and paths.shear is None:
             picks, length_px = node_picks(mid, wavelength_nm), 0.0
@@ -281,7 +279,7 @@ class PupilPlanner:
         return exposure if shade is None else replace(exposure, shaded=self._shaded(exposure, shade))
 
     def still(self, exposure: PlannedExposure, wavelength_nm: FloatArray) -> PlannedExposure:
-        """The same stars in the middle of the exposure, at wavelengths (b, k) that tell the image."""
+        """The same stars in the middle of the exposure, at other wavelengths (b, k)."""
         if exposure.nodes is exposure.mid and wavelength_nm is exposure.wavelength_nm:
             return exposure
         rest = replace(at_rest(exposure.paths.mid), collimation=exposure.paths.collimation)
@@ -432,9 +430,9 @@ class PupilPlanner:
     def plan(self, mode: str, exposure: PlannedExposure, members: IntArray) -> tuple[Order, float] | None:
         """Order and error of a quadrature for some of the stars, which have to be clear; None if none is fit.
 
-        It is found by trial on a field of the stars' extent, under a uniform motion of as many time nodes and at most
-        the same length. Extent and length are rounded, so that few different ones occur, and with it the plan depends
-        on lens, wavelengths, extent and motion only, not on which stars there are.
+        By trial on a field of the stars' extent, under a uniform motion of the same number of time nodes and at most
+        the same length. Extent and length are rounded: few different ones occur, and the plan depends on lens,
+        wavelengths, extent and motion, not on the individual stars.
         """
         direction, wavelength_nm = exposure.paths.mid[members], exposure.wavelength_nm
         if not len(direction):

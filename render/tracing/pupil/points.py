@@ -31,7 +31,7 @@ class PupilPoints(Protocol):
 
     @property
     def weight(self) -> FloatArray:
-        """Weights, shares of the disk's area; an array that broadcasts against (s, b, k, count)."""
+        """Weights, fractions of the disk's area; an array that broadcasts against (s, b, k, count)."""
 
     def sample(self, types: Any, slot: Any, node: Any, point: Any) -> tuple[Any, Any, Any]:
         """Coordinates and weight of point ``point`` of node ``node``, in Dr.Jit arrays of a module of types.
@@ -64,11 +64,11 @@ class TablePoints:
 class OutlinePoints:
     """Points ``centre + ring * radius (cos, sin)(azimuth)`` inside the outlines of s stars in b bands.
 
-    With a shadow in the middle, which no light comes from, they move out, such that the squares of their distances
-    divide what is left as ``ring**2`` divided the whole.
+    With a dark shadow in the middle they move out: the squares of their distances divide the annulus as ``ring**2``
+    divides the disk.
     """
 
-    centre: FloatArray  # (s, b, 2) Where the azimuths are counted about
+    centre: FloatArray  # (s, b, 2) Centre of the azimuths
     azimuth: FloatArray  # (..., k, a) Azimuths of every node, or of every node of every star
     radius: FloatArray  # (s, b, k, a) The outline there
     area: FloatArray  # (s, b, k, a) Area of the sector of every azimuth, as a fraction of the disk's
@@ -132,7 +132,8 @@ def covered_points(order: tuple[int, int], nodes: int, lattice: tuple[int, int] 
     """Middles of polar cells of equal area, rings x azimuths, or a rank-1 lattice of points in each, these last.
 
     ``lattice`` is their number and generator: Fibonacci numbers that follow each other spread them evenly (Niederreiter
-    1992, sec. 5). No two lie at the same radius or azimuth, so that an edge along either is met at as many places.
+    1992, sec. 5). No two lie at the same radius or azimuth, so that an edge along either is resolved to the spacing of
+    all points.
     """
     rings, arms = order
     i = np.arange(lattice[0])
@@ -183,7 +184,7 @@ class SobolPoints:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DiskPoints:
-    """Points of the unit disk, moved to a disk of its own for each of s stars in b bands."""
+    """Points of the unit disk, moved to the disk of each of s stars in b bands."""
 
     points: PupilPoints  # Of the unit disk
     centre: FloatArray  # (s, b, 2) Centres, in radii of the launch disk

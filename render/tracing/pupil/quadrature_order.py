@@ -1,7 +1,7 @@
 """Sampling of the pupil: quadrature inside a known outline, scrambled Sobol points otherwise.
 
 The quadrature order is determined on stars spread over the field: the first order whose pixels, for any position of
-their edges, agree to `TOLERANCE` of the star's light with an order of twice as many rays. If none does (no charge
+their edges, agree to `TOLERANCE` of the star's light with an order of twice the number of rays. If none does (no charge
 diffusion, so that pixel edges cut the bundle; an image dozens of pixels wide), Sobol points are used.
 
 Under motion the order is lowered as far as the characteristic function of the landing points, times the transfer of
@@ -57,9 +57,8 @@ PROBE_NODES = 6
 class Landed:
     """Landing points of the rays of stars."""
 
-    # x, y: (n, b, k, m) Columns and rows [px]
-    x: FloatArray
-    y: FloatArray
+    x: FloatArray  # (n, b, k, m) Columns [px]
+    y: FloatArray  # (n, b, k, m) Rows [px]
     arrived: NDArray[np.bool_]  # (n, b, k, m) Whether they do
     weight: FloatArray  # Weights of the rays of a node; broadcasts to these
     node_weight: FloatArray | None = None  # (k,) Weights of the nodes, sum 1; equal if left out
@@ -70,10 +69,9 @@ class Trial:
     """Result of an order for probe stars."""
 
     pixels: FloatArray  # (n, ...) Light of all pixels, of all bands
-    # light, mean: (n, ...) Light that arrives, and its mean [px]
-    light: FloatArray
-    mean: FloatArray
-    clear: NDArray[np.bool_]  # (n,) Whether all of it does
+    light: FloatArray  # (n, ...) Light that arrives
+    mean: FloatArray  # (n, ...) Its mean [px]
+    clear: NDArray[np.bool_]  # (n,) Whether all light arrives
 
     @classmethod
     def of(cls, stamps: StampSums, size_px: int) -> Trial:
@@ -143,7 +141,9 @@ def _spectrum(
     origin_x, origin_y = x.mean((2, 3), keepdims=True), y.mean((2, 3), keepdims=True)
     shares = landed.weight / x.shape[2] if landed.node_weight is None else landed.weight * landed.node_weight[:, None]
     weight = np.broadcast_to(shares, x.shape)
-    half_x, half_y = (np.exp(1j * np.pi * value) for value in (x, y))  # half a cycle per pixel; powers of it follow
+    half_x, half_y = (
+        np.exp(1j * np.pi * value) for value in (x, y)
+    )  # half a cycle per pixel; powers follow
     diagonal = np.sqrt(0.5)
     base = {
         (1, 0): half_x,
@@ -174,7 +174,7 @@ def probe_nodes(nodes: int) -> NDArray[np.int64]:
 def converged_order(
     trial: Callable[[tuple[int, int]], Trial], tolerance: float, ladder: tuple[tuple[int, int], ...] = LADDER
 ) -> tuple[tuple[int, int], float] | None:
-    """Lowest order of a ladder that is converged for probe stars, and its error; None if there is none.
+    """Lowest order of a ladder that is converged for probe stars, and its error; None without.
 
     The error is the largest change of a pixel or of all light [the star's light], where the brightest pixel holds less
     than `BRIGHTEST` in units of what that would then hold, or of the mean [px] times `MEANS_FINER`.
@@ -230,5 +230,5 @@ def lowest_order(
 
 
 def sobol_points(nodes: int, seed: int, log2_rays: int) -> SobolPoints:
-    """Scrambled Sobol points, a net of its own for each wavelength node of a band that has at least 2^``log2_rays``."""
+    """Scrambled Sobol points, one net for each wavelength node of a band of at least 2^``log2_rays`` points."""
     return SobolPoints(max(6, math.ceil(log2_rays - math.log2(nodes))), seed)

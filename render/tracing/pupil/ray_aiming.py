@@ -44,30 +44,26 @@ class AimedLens:
     """A lens compiled for aiming."""
 
     system: LensSystem
-    # front, full, theta: The lens up to its stop, without apertures, and the whole; parameters of both
-    front: LensProgram
-    full: LensProgram
-    theta: Any
+    front: LensProgram  # The lens up to its stop, without apertures
+    full: LensProgram  # All of the lens
+    theta: Any  # Parameters of both
     stop: int  # Number of the stop
-    # limits, holes: Number and radius [mm] of every clear aperture, the stop's among them, and of every circle about
-    # a vertex that stops the light inside; none where apertures of other shapes count too
-    limits: tuple[tuple[int, float], ...]
-    holes: tuple[tuple[int, float], ...]
+    limits: tuple[tuple[int, float], ...]  # Number and radius [mm] of every clear aperture, with the stop's
+    holes: tuple[tuple[int, float], ...]  # Of every central obscuration; both are empty with apertures of other shapes
 
 
 @dataclass(frozen=True, slots=True)
 class Chiefs:
     """Chief rays of n stars in b bands at one wavelength each."""
 
-    points: FloatArray  # (n, b, 2) Where they are launched, in radii of the launch disk; NaN where the aim fails
-    # x_px, y_px: (n, b) Where they land, rims of apertures or no; NaN where they do not
-    x_px: FloatArray
-    y_px: FloatArray
+    points: FloatArray  # (n, b, 2) Launch points, in radii of the launch disk; NaN where the aim fails
+    x_px: FloatArray  # (n, b) Columns where they land, ignoring rims of apertures; NaN where they do not
+    y_px: FloatArray  # (n, b) Rows
     blocked: BoolArray  # (n, b) Whether the rim of an aperture stops them
 
     @property
     def position_px(self) -> FloatArray:
-        """Columns and rows (n, b, 2) where they land."""
+        """Columns and rows (n, b, 2)."""
         return np.stack([self.x_px, self.y_px], axis=-1)
 
     def take(self, stars: IntArray) -> Chiefs:
@@ -133,7 +129,7 @@ def find_chiefs(
 
 
 def _aimed(lens: AimedLens, kernel: StarKernel, wavelength_nm: FloatArray) -> FloatArray:
-    """Launch points (n, b, 2) of chief rays, NaN where there is none."""
+    """Launch points (n, b, 2) of chief rays, NaN without."""
     F, shape = kernel.F, (kernel.count, len(wavelength_nm))
     band, star = kernel.numbered(kernel.count * shape[1], shape[1])
     wavelength = dr.gather(F, F(wavelength_nm), band)
@@ -174,7 +170,7 @@ def _aimed(lens: AimedLens, kernel: StarKernel, wavelength_nm: FloatArray) -> Fl
 def _aimed_outwards(
     lens: AimedLens, kernel: StarKernel, wavelength_nm: FloatArray, stars: IntArray, bands: IntArray
 ) -> FloatArray:
-    """Launch points (m, 2) of the chief rays of some pairs of stars and bands; NaN where there is none."""
+    """Launch points (m, 2) of the chief rays of some pairs of stars and bands; NaN without."""
     if not len(stars):
         return np.zeros((0, 2))
     x0, y0, _ = kernel.geometry.pupil_mm
@@ -226,7 +222,7 @@ class OutlineSearch:
         return rays, [heights[number] for number in numbers]
 
     def _solve(self, program: LensProgram, numbers: tuple[int, ...]) -> tuple[Any, Any]:
-        """First radius at which one of the surfaces is touched, and whether it was found."""
+        """First radius at which a ray touches one of the surfaces, and whether there is one."""
         F, count = self.kernel.F, int(np.prod(self.shape))
 
         def heights(radius: Any) -> list[Any]:
@@ -291,7 +287,7 @@ class OutlineSearch:
 
 
 def _largest(values: list[Any]) -> Any:
-    """Elementwise maximum of a list of what is not negative; 0 of none."""
+    """Elementwise maximum of a list of non-negative values; 0 of an empty one."""
     result = values[0] if values else 0.0
     for value in values[1:]:
         result = dr.maximum(result, value)

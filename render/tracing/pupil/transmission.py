@@ -1,4 +1,4 @@
-r"""Transmission of every ray along its own path, over that of the axis, as a polynomial in the launch disk.
+r"""Transmission of every ray along its path, over that of the axis, as a polynomial in the launch disk.
 
 The loss of a ray in surfaces and glasses (`optics.rays.ghosts.trace_ghost`: reflection at the angle of that ray,
 absorption along its path, the mean of s and p light at each surface) is a smooth function of its direction and of the
@@ -46,7 +46,7 @@ TEST_SPREAD = ((0.5, 7), (0.8, 9), (0.97, 11))
 ROOM = 1.03
 """Reach of the fit in terms of the farthest corner of the detector; stars beyond have the transmission there."""
 ORDERS = ((2, 3), (3, 5), (4, 6), (5, 8))
-"""Degrees in the launch disk, and in all, of what is tried for a lens of revolution."""
+"""Degrees in the launch disk, and in all, that are tried for a lens of revolution."""
 GENERAL_ORDERS = ((4, 6), (6, 8))
 """The same for other lenses."""
 DISK, TEST_DISK = (5, 14), (3, 9)

@@ -45,7 +45,7 @@ class RayImages:
         self.planner, self.camera = planner, planner.camera
 
     def add(self, light: NodeLight, exposure: PlannedExposure, image: NDArray[np.float32], sums: TruthSums) -> Sampling:
-        """Add stars to the image and what is known of them to the sums; how they were sampled."""
+        """Add stars to the image and their truth to the sums; how they were sampled."""
         return self.traced(light, exposure, image, sums)[1]
 
     def traced(
@@ -55,7 +55,7 @@ class RayImages:
         sampled, sampling = self.planner.sampled_by_rays(exposure), Sampling()
         entering = (light.weight * sampled.entrance).sum(2)
         passes = _Passes(self.camera, exposure.nodes, light, sampled.bounds, image, sums, entering, exposure.shade)
-        lost = np.empty(0, np.int64)  # only the last group knows the pupils of stars that are not its own
+        lost = np.empty(0, np.int64)  # only points of the last group suit stars of others
         for group in sampled.groups:
             members = group.members
             if group is sampled.groups[-1]:
@@ -67,7 +67,7 @@ class RayImages:
         return sampled, sampling
 
     def cells(self, light: NodeLight, exposure: PlannedExposure, half_size_px: int, cells_per_px: int) -> FloatArray:
-        """Light per cell (n, b, m, m) of squares about the bundle means, in shares of what arrives."""
+        """Light per cell (n, b, m, m) of squares about the bundle means, over what arrives."""
         nothing, sums = np.zeros((0, 0, light.electrons.shape[1]), np.float32), TruthSums.empty(*light.electrons.shape)
         sampled, _ = self.traced(light, exposure, nothing, sums)
         stamp_px = 2 * half_size_px + 1
@@ -93,12 +93,11 @@ class _Passes:
     kernel: StarKernel
     light: NodeLight
     bounds: Bounds
-    image: NDArray[np.float32]  # (h, w, b) What light is added to
-    sums: TruthSums  # Where the truth is kept
+    image: NDArray[np.float32]  # (h, w, b)
+    sums: TruthSums  # The truth
     # (n, b) Light that the stop alone would let through in that of the launch disk; NaN where unknown
     entrance: FloatArray
-    # What stands between the sky and the lens; asked for every ray of stars that Sobol points sample
-    shade: Shade | None = None
+    shade: Shade | None = None  # Bodies between the sky and the lens, tested for every ray of Sobol points
 
     def trace(self, group: Group) -> IntArray:
         """Trace stars in passes, and again those whose stamp was too small.
@@ -137,7 +136,7 @@ class _Passes:
         return np.concatenate(cut)
 
     def _balanced(self, collected: StampSums, pupil: PupilPoints, stars: IntArray) -> FloatArray:
-        """Light (s, b) that enters by the stop alone; what of it does not arrive becomes what is lost in the lens."""
+        """Light (s, b) that enters by the stop alone; the part that does not arrive is stored as lost."""
         moments, entrance = collected.moments, self.entrance[stars]
         if isinstance(pupil, TablePoints):
             return entrance

@@ -131,7 +131,7 @@ class Shade(Protocol):
     """Bodies between the sky and the lens."""
 
     def near(self, pupil: EntrancePupil) -> NDArray[np.bool_]:
-        """Stars (n,) in whose beam, as wide as a launch disk, something may stand; false where nothing can."""
+        """Stars (n,) that may have a body in their beam, as wide as a launch disk."""
 
     def hides(self, rays: Rays, star: Any) -> Any:
         """Whether rays in the lens frame (`StarKernel.rays`) do not get from their stars (UInt32) to the lens."""
@@ -191,7 +191,7 @@ class StarKernel:
         return x, y, out.status
 
     def numbered(self, total: int, *sizes: int) -> list[Any]:
-        """Indices of lane 0 ... total-1 along axes of the given sizes, last axis first, and what is left over."""
+        """Indices of lane 0 ... total-1 along axes of the given sizes, last axis first, and the quotient."""
         remaining = dr.arange(self.U, total)
         indices = []
         for size in reversed(sizes):

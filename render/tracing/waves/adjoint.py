@@ -35,13 +35,13 @@ class Window:
     """Window of the image of one star in one band, and conversion of samples to pixels."""
 
     corner_px: FloatArray  # (2,) Outer corner (column, row) of the window
-    mean_px: FloatArray  # (2,) Where samples lie about
+    mean_px: FloatArray  # (2,) Centre of the samples
     size: int  # Pixels of the window along an axis
     field: FieldSampling
     sigma_px: float  # Charge diffusion
     first_px: FloatArray  # (2,) Whole pixels from the window to the stamp
     stamp_px: int  # Pixels of the stamp along an axis
-    moving: bool  # Whether the image is a trail: it ends by samples then, by pixels else
+    moving: bool  # Whether the image is a trail: its disk is one of samples then, of pixels otherwise
 
     @property
     def kernel(self) -> BandLimited:
@@ -115,9 +115,8 @@ class WaveLanes:
     """Plane waves as arrays with derivatives, of s b windows at k wavelengths, p of each; lanes (s b k p,)."""
 
     phase: Any  # At the mean that samples lie about [turns]
-    # fx, fy: Spatial frequencies [cycles/px]
-    fx: Any
-    fy: Any
+    fx: Any  # Spatial frequencies along columns [cycles/px]
+    fy: Any  # Along rows
     amplitude: Any  # As in `render.tracing.waves.plane_waves.PlaneWaves`
 
 

@@ -21,17 +21,17 @@ from optics.arrays import FloatArray, IntArray
 from render.tracing.waves.pixel_kernel import BandLimited, FieldSampling
 
 FINER = 2
-"""How much finer than the samples those are between which points of rings are interpolated."""
+"""Refinement of the samples before points of rings are interpolated."""
 ROOM = 1.6
-"""How much more rings and azimuths there are than the highest frequency that samples of images are left with needs."""
+"""Oversampling of rings and azimuths relative to the highest frequency of the images."""
 BATCH = 32
-"""Images that are taken to rings at a time."""
+"""Images that are converted at a time."""
 NOTHING = 0.3
-"""Part of what may be left out that azimuthal orders without components may hold together."""
+"""Part of the allowed remainder for azimuthal orders without components."""
 CENTROID_PX, MOMENT = 6.5, 1.0
-"""Radius of centroid tests, and the error of light [share] that an error of them [px] counts as."""
+"""Radius within which centroids count, and the weight of their error [px] against that of light [fraction]."""
 TAPS = 6
-"""Samples on either side that such a point takes."""
+"""Samples on either side of an interpolated point."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ def azimuthal_modes(
     # images (n, i, i), samples_px (i,)
     reach = float(samples_px[-1]) - TAPS * field.light_step
     count = math.ceil(ROOM * math.pi * reach * (1.0 / field.light_step - field.highest))
-    node = np.cos(np.pi * (np.arange(count) + 0.5) / (2 * count))  # Chebyshev's of twice as many, those above 0
+    node = np.cos(np.pi * (np.arange(count) + 0.5) / (2 * count))  # positive Chebyshev points of twice this number
     ring, angle = reach * node, np.pi * (np.arange(count) + 0.5) / count
     to_rings = _to_rings(samples_px, field, ring, angle)
     series = _series(to_rings, images, count)
@@ -62,7 +62,7 @@ def azimuthal_modes(
     moment = (area * ring * (ring <= CENTROID_PX)) @ blurred[:, 1]
     blurred = blurred * np.sqrt(area)[:, None, None]
     blurred[:, 0] *= math.sqrt(2.0)
-    blurred = np.pad(blurred, ((0, 1), (0, 0), (0, 0)))  # an error of the centroid counts as one of the light
+    blurred = np.pad(blurred, ((0, 1), (0, 0), (0, 0)))  # centroid error as an additional ring
     blurred[-1, 1] = MOMENT * moment
     bright = (blurred**2).sum(0).max(1)
     weak = np.argsort(bright)
@@ -125,7 +125,7 @@ def _series(
 
 
 def _principal(single: NDArray[np.float32]) -> FloatArray:
-    """Left singular vectors times singular values (n, j) of values (n, r): what of each is in principal components."""
+    """Left singular vectors times singular values (n, j) of values (n, r): coefficients of principal components."""
     values = single.astype(np.float64)
     if len(values) > values.shape[1]:
         return np.asarray(values @ np.linalg.eigh(values.T @ values)[1])

@@ -2,7 +2,7 @@ r"""The far diffraction image of a bright star beyond its stamp, with the spikes
 
 Far from the core the image is determined by the edges of the aperture, independent of aberrations. The aperture on the
 axis is traced on a grid of cells, edge cells with partial weight; the square of its Fourier transform is the image in
-units of lambda N, the same for all wavelengths. Running sums of it give the light of any pixel:
+units of lambda N, the same for all wavelengths. Its running sums give the light of any pixel:
 
 .. math:: P(q) = |\mathrm{FT}[m](q)|^2, \qquad q = a x / \lambda, \qquad \int P \, dq = 1
 
@@ -38,7 +38,7 @@ CELLS = (1024, 1536)
 PARTS = 55
 """Points of a cell at its edge, a Fibonacci lattice: edges along the axes are found to 1 / 55 of a cell."""
 LAST = 0.39
-"""Distance [lambda N] at which the grid of cells ends what is known, per cell."""
+"""Largest distance [lambda N] of the image over the number of cells across the aperture."""
 ANNULUS = (60.0, 160.0)
 """Distances [lambda N] at which the fall of the image is measured, as 1 / r^3, in `SECTORS` sectors."""
 SECTORS = 72
@@ -47,7 +47,7 @@ BEYOND = 7e-4
 ASKEW = 0.02
 """Part by which the axes of pupil and image may be turned against each other."""
 MOST_TIMES = 8
-"""Places along a trail from which far images are added up."""
+"""Points along a trail at which far images are added."""
 
 _cache: dict[bytes, FarImage | None] = {}
 _of: WeakKeyDictionary[PupilPlanner, FarImage | None] = WeakKeyDictionary()
@@ -75,7 +75,7 @@ class FarImage:
         return wavelength_nm / (2.0 * self.wavelength_nm * math.sqrt(self.per_px[0] * self.per_px[1]))
 
     def pixels(self, x_px: FloatArray, y_px: FloatArray, wavelength_nm: FloatArray, weights: FloatArray) -> FloatArray:
-        """Light (h, w) between edges (w + 1,), (h + 1,) from the middle, of wavelengths (k,) with their shares."""
+        """Light (h, w) between edges (w + 1,), (h + 1,) from the middle, of wavelengths (k,) with weights."""
         line = len(self.running)
         flat, middle = self.running.ravel(), 0.5 * line
         below = np.zeros((len(y_px), len(x_px)))  # light left of and above corners of pixels
@@ -151,7 +151,7 @@ def _far_image(planner: PupilPlanner, wavelength_nm: float, cells: int) -> FarIm
     if slope[0, 0] * slope[1, 1] < 0.0:  # the square of the transform is the same from both sides of the middle
         mask = mask[:, ::-1]
     half = np.abs(rfft2(mask.astype(np.float32), s=(2 * cells, 2 * cells))) ** 2
-    cell = np.sinc(np.fft.fftfreq(2 * cells)) ** 2  # what cells are damped by
+    cell = np.sinc(np.fft.fftfreq(2 * cells)) ** 2  # transfer function of cells
     half /= cell[:, None] * cell[: cells + 1]
     power = np.empty((2 * cells, 2 * cells))
     power[:, : cells + 1] = half
@@ -159,7 +159,7 @@ def _far_image(planner: PupilPlanner, wavelength_nm: float, cells: int) -> FarIm
     power[:, cells + 1 :] = half[mirrored][:, cells - 1 : 0 : -1]
     power = np.fft.fftshift(power / power.sum())
     fall, spikes = _falls(power)
-    power *= 1.0 - math.sqrt(32.0) * fall / (0.5 * cells)  # what lies outside the square
+    power *= 1.0 - math.sqrt(32.0) * fall / (0.5 * cells)  # light outside the square
     running = np.zeros((2 * cells + 1, 2 * cells + 1))
     np.cumsum(np.cumsum(power, axis=0), axis=1, out=running[1:, 1:])
     per_px = abs(float(slope[0, 0])), abs(float(slope[1, 1]))
@@ -185,7 +185,7 @@ def _aperture(arrives: Callable[[FloatArray], FloatArray], x: FloatArray, y: Flo
 
 def _falls(power: FloatArray) -> tuple[float, float]:
     """Light of samples per (lambda N)^2 times the cube of their distance [lambda N]: mean, and brightest sector."""
-    place = 0.5 * (np.arange(len(power)) - 0.5 * len(power))  # samples lie half a unit apart
+    place = 0.5 * (np.arange(len(power)) - 0.5 * len(power))  # samples at steps of half a unit
     distance = np.hypot(place, place[:, None])
     some = (distance > ANNULUS[0]) & (distance < ANNULUS[1])
     row, column = np.nonzero(some)
@@ -204,7 +204,7 @@ def add_far_images(
     sums: TruthSums,
     trail: Trail | None = None,
 ) -> None:
-    """Add what lies beyond the stamps of bright stars, disks of a radius, and move it from what is left out."""
+    """Add light beyond the stamps of bright stars, disks of a radius, and subtract it from the light left out."""
     camera = planner.camera
     limits = camera.far
     if limits is None:
@@ -251,7 +251,7 @@ def _add(
     image: NDArray[np.float32],
     sensitive: NDArray[np.bool_] | None,
 ) -> tuple[float, float, float]:
-    """Add one far image; its electrons, those of them on the detector, and the sum of the squares of its pixels."""
+    """Add one far image; its electrons, those on the detector, and the sum of squares of its pixels."""
     mean_px, radius_px, end_px = geometry
     reach, middle = math.ceil(end_px), np.rint(mean_px)
     edges = np.arange(-reach, reach + 2) - 0.5

@@ -51,7 +51,7 @@ class WaveGrid:
     # rays from the chief ray and times their mean squares; light that apertures let through
     moment: FloatArray
     components: tuple[Components, ...]  # Of every band, coefficients (f, q, c)
-    # Of a lens of revolution: azimuthal orders (c,) of the components of every band, of which there are twice as many
+    # Of a lens of revolution: azimuthal orders (c,) of the components of every band, each with a cosine and a sine
     # (`render.tracing.waves.azimuthal_modes`). The f = p points then lie along a radius, in fractions of that of the
     # farthest corner; images, means and moments are those of stars on the column axis
     order: tuple[IntArray, ...] | None = None

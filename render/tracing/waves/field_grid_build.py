@@ -93,8 +93,8 @@ class GridPlan:
     """Cost of a grid, in products of complex numbers (`render.tracing.waves.frequency_grid.PRODUCT_S`)."""
 
     images: _FieldImages
-    image_products: float  # Of an image of one star and wavelength by a sum of its own
-    grid_products: float  # Of the grid; infinite where there is none
+    image_products: float  # Of an image of one star and wavelength by a direct sum
+    grid_products: float  # Of the grid; infinite without one
 
     def pays(self, stars: int) -> bool:
         """Whether a number of stars on the detector costs less by a grid, over a few frames."""
@@ -293,7 +293,7 @@ class _FieldImages:
         return np.concatenate(parts)
 
     def _counts(self, size: int) -> tuple[IntArray, float]:
-        """Points, ``size`` within the first cut, and beyond as many as light and means [px] of rays need; their error.
+        """Points, ``size`` within the first cut, beyond it enough for light and means [px] of rays; their error.
 
         No fewer than the ``size`` asks for: images may need more than rays.
         """

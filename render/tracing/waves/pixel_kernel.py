@@ -1,7 +1,7 @@
 """Sampling of diffraction intensities, and the kernel that makes pixels of the samples.
 
 An intensity has no frequencies above that of its two outermost waves. What diffusion leaves has fewer: samples may be
-so far apart that frequencies which nothing sees are aliased onto others that nothing sees.
+so coarse that unresolved frequencies are aliased onto other unresolved ones.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class BandLimited:
     """A box convolved with a Gaussian, its spectrum ended smoothly between two frequencies; 0 beyond its reach.
 
     Integrals of a function without frequencies above ``low``, sampled at no less than ``low + high``, are sums with
-    this kernel, but for exp(-pi (high - low) reach). A box of width 0 stands for a point: interpolation.
+    this kernel, but for exp(-pi (high - low) reach). A box of width 0 interpolates.
     """
 
     low: float  # Frequencies [cycles/px]

@@ -1,15 +1,15 @@
 """Plane waves of the rays of stars, traced on Dr.Jit, and their sum over windows of the detector.
 
-The method is that of `optics.waves.pupil_field`; here lengths are pixels and the light is counted in shares of what a
-star sends into the launch disk, as everywhere in this package. With ``u`` a point of the unit disk and ``f`` the
+The method is that of `optics.waves.pupil_field`; here lengths are pixels, and light is a fraction of what a star sends
+into the launch disk, as everywhere in this package. With ``u`` a point of the unit disk and ``f`` the
 spatial frequency [cycles/px] of the wave that the ray from there is, the field at X is
 
-    U(X) = sum_j pi w_j sqrt(J_j) exp{ 2 pi i [t_j + f_j (X - x_j)] },   J = |df / du|,   share per px^2 = |U|^2 / pi
+    U(X) = sum_j pi w_j sqrt(J_j) exp{ 2 pi i [t_j + f_j (X - x_j)] },   J = |df / du|,   light per px^2 = |U|^2 / pi
 
-Between few traced rays others follow from series (`WaveSeries`): directions, phases and amplitudes change smoothly over
-a pupil whose outline is smooth. Rays on some rings and azimuths tell them everywhere: waves along the azimuth,
-polynomials along the radius. Sums over pupils need many more rays than those, which cost less to be interpolated than
-traced, and few near the middle, where a turn about it is short.
+Rays between few traced ones follow from series (`WaveSeries`): directions, phases and amplitudes change smoothly over a
+pupil whose outline is smooth, so that rays on some rings and azimuths determine a Fourier series in azimuth and
+Legendre polynomials in radius. Sums over pupils need many more rays, which are cheaper to interpolate than to trace,
+and fewer near the middle, where circles are short.
 """
 
 from __future__ import annotations
@@ -41,17 +41,15 @@ RayArrays = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, Fl
 class PlaneWaves:
     """Rays of s stars in b bands at k wavelengths, p of each; arrays (s, b, k, p)."""
 
-    # x, y: Landing points [px]
-    x: FloatArray
-    y: FloatArray
-    # fx, fy: Spatial frequency of the plane wave [cycles/px]
-    fx: FloatArray
-    fy: FloatArray
+    x: FloatArray  # Columns of the landing points [px]
+    y: FloatArray  # Rows
+    fx: FloatArray  # Spatial frequency of the plane wave along columns [cycles/px]
+    fy: FloatArray  # Along rows
     turns: FloatArray  # Optical path in vacuum wavelengths, from a plane wavefront
     amplitude: FloatArray  # ``w sqrt(J)``; 0 for lost rays
-    weight: FloatArray  # Shares of the launch disk times the transmission over that of the axis; 0 for lost rays
-    lost: FloatArray  # (s, b, k) Share of the launched light that these points stand for and that is lost
-    clear: FloatArray  # (s, b, k) The share that apertures let through
+    weight: FloatArray  # Fractions of the launch disk times the transmission over that of the axis; 0 for lost rays
+    lost: FloatArray  # (s, b, k) Fraction of the launched light that is lost at apertures
+    clear: FloatArray  # (s, b, k) Fraction that apertures let through
 
     @property
     def mean(self) -> FloatArray:
@@ -200,11 +198,11 @@ def phase_changes(
 
 
 TAIL = 2e-6
-"""Largest of the last coefficients of a series that is resolved: phase [turns], or share of the amplitude."""
+"""Largest of the last coefficients of a series that is resolved: phase [turns], or fraction of the amplitude."""
 REACH_PX = 25.0
 """Distance from the mean of the rays at which frequencies have to give phases that well."""
 LAST_RINGS, LAST_TURNS = 2, 4
-"""Coefficients at either end of a series by which it is judged."""
+"""Coefficients at either end of a series by which it counts as resolved."""
 ROUNDED = 16
 """Steps of the number of azimuths, so that few tables are needed."""
 
@@ -220,7 +218,8 @@ def azimuths(around: FloatArray) -> FloatArray:
 def nodes_along(radial: FloatArray) -> FloatArray:
     """Number of rings for a radius with a phase change.
 
-    Gauss's rule of n nodes ends with J_2n of half of it; 5 more than a quarter were 1e-4 of the light short at 350 rad.
+    The error of Gauss's rule of n nodes is of the order J_2n of half the change; with 5 nodes more than a quarter of
+    the change it was 1e-4 of the light at 350 rad.
     """
     return np.asarray(radial / 4.0 + np.maximum(5.0, 1.6 * np.cbrt(radial / 2.0)))
 

@@ -9,7 +9,7 @@ import numpy as np
 from optics.arrays import FloatArray, IntArray
 
 RINGS = 44.0
-"""Wavelengths per relative half width of a band: as many as the change of the rings' scale asks for, on pixels."""
+"""Wavelengths per relative half width of a band, by the change of the rings' scale."""
 
 
 def lagrange(points: FloatArray, at: FloatArray) -> FloatArray:
@@ -26,8 +26,10 @@ def lagrange(points: FloatArray, at: FloatArray) -> FloatArray:
 def picked_wavelengths(
     wavelength_nm: FloatArray, finer: float = 1.0, phase_rad: float = 0.0
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Wavelengths that have images, and what makes all others of them: polynomials near Chebyshev's extrema."""
-    # wavelength_nm (k,) -> (q,), (j,), (k, q)
+    """Numbers of wavelengths that have images (q,) and of those that test errors (j,), and weights (k, q) for all.
+
+    Polynomials on wavelengths (k,) near Chebyshev's extrema.
+    """
     middle, half = 0.5 * (wavelength_nm.max() + wavelength_nm.min()), 0.5 * np.ptp(wavelength_nm)
     wanted = math.ceil((3.0 + (RINGS + phase_rad) * half / middle) * finer)
     order = np.argsort(wavelength_nm)
@@ -43,9 +45,9 @@ def picked_wavelengths(
 
 
 def condensed_light(wavelength_nm: FloatArray, weight: FloatArray, phase_rad: float) -> tuple[FloatArray, FloatArray]:
-    """Fewer wavelengths (b, q), and shares of them (n, b, t q), that make the images of k wavelengths (n, b, t k).
+    """Fewer wavelengths (b, q) and weights (n, b, t q) that represent the images of k wavelengths (n, b, t k).
 
-    Parameters as `picked_wavelengths`, for all bands; shares may be negative.
+    Parameters as `picked_wavelengths`, for all bands; weights may be negative.
     """
     bands, colours = wavelength_nm.shape
     most = max(len(picked_wavelengths(band, 1.0, phase_rad)[0]) for band in wavelength_nm)
@@ -56,7 +58,7 @@ def condensed_light(wavelength_nm: FloatArray, weight: FloatArray, phase_rad: fl
     condensed = np.zeros((*by_time.shape[:3], most))
     for b, band in enumerate(wavelength_nm):
         which = picked_wavelengths(band, 1.0, phase_rad)[0]
-        while len(which) < most:  # as many in every band, all of them different
+        while len(which) < most:  # the same number in every band, without repetition
             distance = np.abs(band[:, None] - band[which]).prod(1)
             which = np.sort(np.append(which, distance.argmax()))
         waves[b] = band[which]
