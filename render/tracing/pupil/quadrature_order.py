@@ -141,9 +141,7 @@ def _spectrum(
     origin_x, origin_y = x.mean((2, 3), keepdims=True), y.mean((2, 3), keepdims=True)
     shares = landed.weight / x.shape[2] if landed.node_weight is None else landed.weight * landed.node_weight[:, None]
     weight = np.broadcast_to(shares, x.shape)
-    half_x, half_y = (
-        np.exp(1j * np.pi * value) for value in (x, y)
-    )  # half a cycle per pixel; powers follow
+    half_x, half_y = (np.exp(1j * np.pi * value) for value in (x, y))  # half a cycle per pixel; powers follow
     diagonal = np.sqrt(0.5)
     base = {
         (1, 0): half_x,

@@ -13,7 +13,7 @@ from optics.rays.spots import trace_spots
 from render.records import EffectivePsf
 from render.sensor_file.load import load_star_sensor
 from render.tracing import psf as psf_module
-from render.tracing.psf import epsf_tracer, ray_epsf, render_epsf, trailed, wave_images
+from render.tracing.psf import blurred, epsf_tracer, of_disk, ray_epsf, render_epsf, trailed, wave_images
 
 OVERSAMPLING = 4
 
@@ -94,6 +94,22 @@ def test_a_trail_across_the_columns_is_an_integral_of_the_star():
     psf = trailed(EffectivePsf(values=np.outer(still, still), oversampling=8), np.array([length, 0.0]))
     assert psf.values.sum() / 64.0 == pytest.approx(1.0, abs=1e-12)  # the grid grew by the trail: all light is there
     np.testing.assert_allclose(psf.values[16:-16, 16:-16], np.outer(still, moved), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("widened", "variance_px2"),
+    [(lambda psf: blurred(psf, 0.3), 0.3), (lambda psf: of_disk(psf, 1.6), 1.6**2 / 4.0)],
+)
+def test_a_convolution_adds_the_variance_of_its_kernel(widened, variance_px2):
+    """A Gaussian's, and per axis a quarter of the squared radius of a disk."""
+    offset = (np.arange(161) - 80) / 8.0
+    pixel = ndtr((offset + 0.5) / 0.7) - ndtr((offset - 0.5) / 0.7)
+    psf = EffectivePsf(values=np.outer(pixel, pixel), oversampling=8)
+    moments = []
+    for values in (psf.values, widened(psf).values):
+        assert values.sum() / 64.0 == pytest.approx(1.0, abs=1e-9)
+        moments += [values.sum(0) @ offset**2 / values.sum()]
+    assert moments[1] - moments[0] == pytest.approx(variance_px2, rel=1e-6)
 
 
 PIXEL = {"pitch_mm": 5.5e-3, "diffusion_px": 0.18}
