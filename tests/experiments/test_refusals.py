@@ -13,8 +13,8 @@ import click
 import numpy as np
 import pytest
 from astropy import units
-from astropy.io import fits
 from astropy.table import Table
+from target_frames import HEAD, readout, spots, write
 
 from experiments.chromatic.own_frames import filter_frames
 from experiments.chromatic.settings import Config as ChromaticConfig
@@ -233,21 +233,16 @@ DATASETS = [
 
 # --- Own frames: a folder and its frames.toml
 
-HEAD = "gain_dn_per_e = 0.25\noffset_dn = 60\nread_noise_e = 12\npixel_arcsec = 5.5\n"
 POINT = HEAD + "points = 1\n"
 ONE = "[[series]]\nfiles = ['a_*.fits']\n"
 FILTERS = FolderLayout(needs=("filter_nm",), same_scene="place")
 
 
-def image(
-    path: Path, shape: tuple[int, int] = (64, 96), *, scale: float = 1.0, hole: bool = False, **cards: Any
-) -> None:
-    """A frame with a star."""
-    row, column = np.indices(shape)
-    light = 60.0 + 600.0 * np.exp(-((row - 30) ** 2 + (column - 40) ** 2) / 2.0)
-    dn = np.rint(scale * (light + np.random.default_rng(len(path.name)).normal(0.0, 3.0, shape)))
-    dn = np.where(np.eye(*shape) > 0, np.nan, dn) if hole else dn.astype(np.uint16 if scale == 1.0 else np.int32)
-    fits.PrimaryHDU(dn, fits.Header(list({"EXPTIME": 0.1, **cards}.items()))).writeto(path)
+def image(folder: Path, name: str, shape: tuple[int, int] = (64, 96), **cards: Any) -> Any:
+    """A frame with a star, in a file."""
+    dn = readout(spots(shape, [(40, 30)], 15000.0), np.random.default_rng(len(name)))
+    write(folder / name, dn, **{"EXPTIME": 0.1, **cards})
+    return dn
 
 
 def own(text: str, reduce: Callable[..., Any] | None = None, *config: Any, **options: Any) -> Call:
@@ -255,13 +250,13 @@ def own(text: str, reduce: Callable[..., Any] | None = None, *config: Any, **opt
 
     def call(folder: Path) -> Any:
         for name in ("a_1.fits", "a_22.fits", "b_1.fits", "b_22.fits"):
-            image(folder / name)
-        image(folder / "small.fits", (64, 80))
-        image(folder / "slow.fits", EXPTIME=0.3)
-        image(folder / "nan.fits", hole=True)
-        image(folder / "sum.fits", scale=200.0)
+            dn = image(folder, name)
+        image(folder, "small.fits", (64, 80))
+        image(folder, "slow.fits", EXPTIME=0.3)
+        write(folder / "nan.fits", np.where(np.eye(*dn.shape) > 0, np.nan, dn))
+        write(folder / "sum.fits", 200 * dn.astype(np.int32))
         for name in ("c_1.fits", "c_2.fits", "d_1.fits", "d_2.fits"):
-            image(folder / name, FILTER="R")
+            image(folder, name, FILTER="R")
         (folder / "frames.toml").write_text(text)
         read = read_folder(folder, **{"window_px": 9, **options})
         return reduce and reduce(read, ("cog",), *config)
@@ -293,7 +288,7 @@ def temporal_run(**changes: Any) -> Call:
 FRAMES = [
     ("no folder", lambda folder: read_folder(folder / "no", window_px=9), ConfigError, "no such folder"),
     ("no frames.toml", lambda folder: read_folder(folder, window_px=9), ConfigError, "holds no frames.toml"),
-    ("key missing", own(HEAD.replace("offset_dn = 60\n", "") + ONE), ConfigError, "offset_dn"),
+    ("key missing", own(HEAD.replace("offset_dn = 60.0\n", "") + ONE), ConfigError, "offset_dn"),
     ("key unknown", own(HEAD + "point = 1\n" + ONE), ConfigError, "point"),
     ("key of a series", own(POINT + ONE + "shift = 1"), ConfigError, "shift"),
     ("no series", own(POINT), ConfigError, "series_table is needed"),

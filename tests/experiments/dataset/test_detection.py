@@ -4,31 +4,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from measured_frames import measured_frame
 
 from calib.flags import StarFlag
-from calib.measure.reduced_frame import MeasuredFrame
-from calib.records import StarTable
 from experiments.dataset.detection import MatchedStars, compare_frame, detection, joined
 from experiments.dataset.truth import FLAGS
-
-
-def table(x, y, flags=None):
-    n = len(x)
-    return StarTable(
-        x_px=np.array(x, float),
-        y_px=np.array(y, float),
-        flux_e=np.full(n, 1000.0),
-        background_e=np.zeros(n),
-        covariance=np.tile(np.eye(3) * 1e-2, (n, 1, 1)),
-        chi2=np.full(n, np.nan),
-        iterations=np.zeros(n, np.int64),
-        flags=np.zeros(n, np.uint32) if flags is None else np.array(flags, np.uint32),
-    )
-
-
-def measured(x, y, flags=None):
-    stars = table(x, y, flags)
-    return MeasuredFrame(stars=stars, fit=stars.flags == 0, detected_px=np.column_stack([x, y]).astype(float))
 
 
 def truth(x, y, flags=0):
@@ -47,9 +27,8 @@ def truth(x, y, flags=0):
 
 def test_stars_and_detections_are_paired_one_to_one():
     stars = truth([10.0, 30.0, 50.0, 51.5], [10.0, 30.0, 50.0, 50.0])
-    found = measured(
-        [10.4, 50.3, 80.0, 20.0], [9.8, 50.1, 80.0, 60.0], [0, int(StarFlag.BLEND), 0, int(StarFlag.SPIKE)]
-    )
+    flags = [0, int(StarFlag.BLEND), 0, int(StarFlag.SPIKE)]
+    found = measured_frame([[10.4, 9.8], [50.3, 50.1], [80.0, 80.0], [20.0, 60.0]], flags=flags)
     one = compare_frame(7, found, stars, width_px=101, height_px=101)
     assert one.matched.tolist() == [True, False, True, False]
     assert one.fit.tolist() == [True, False, False, False]
@@ -63,9 +42,9 @@ def test_stars_and_detections_are_paired_one_to_one():
 
 def test_what_has_no_light_is_no_star_and_an_empty_frame_is_one():
     dark = truth([10.0, 20.0], [10.0, 20.0], flags=FLAGS["no_light"][0])
-    one = compare_frame(0, measured([], []), dark, width_px=64, height_px=64)
+    one = compare_frame(0, measured_frame([]), dark, width_px=64, height_px=64)
     assert len(one.magnitude) == 0
-    other = compare_frame(1, measured([5.0], [5.0]), truth([], []), width_px=64, height_px=64)
+    other = compare_frame(1, measured_frame([[5.0, 5.0]]), truth([], []), width_px=64, height_px=64)
     both = joined([one, other])
     assert both.frames == 2
     assert both.false.tolist() == [1]

@@ -4,13 +4,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from measured_frames import measured_frame
 from scipy.spatial.transform import Rotation
 
 from calib.cameras.base import SensorGeometry
 from calib.cameras.brown_conrady import BrownConrady
 from calib.flags import StarFlag
-from calib.measure.reduced_frame import MeasuredFrame
-from calib.records import StarTable
 from experiments.dataset.solve import BlindSolver, SkyMap, SolvedFrame, attitudes, solve_frame
 from optics.units import RAD_ARCSEC
 from render.catalogue.gaia import load_gaia
@@ -55,21 +54,8 @@ def measured(sky, model, attitude, seed, *, mirrored=False, burnt=0):
     pixel[:burnt] += rng.choice([-0.5, 0.5], (burnt, 2))
     if mirrored:
         pixel[:, 0] = SIDE - 1 - pixel[:, 0]
-    n = len(pixel)
-    flags = np.zeros(n, np.uint32)
-    flags[:burnt] = int(StarFlag.SATURATED)
-    covariance = np.tile(np.diag([NOISE_PX**2, NOISE_PX**2, 1.0]), (n, 1, 1))
-    stars = StarTable(
-        x_px=pixel[:, 0],
-        y_px=pixel[:, 1],
-        flux_e=10 ** (-0.4 * (magnitude - 10)),
-        background_e=np.zeros(n),
-        covariance=covariance,
-        chi2=np.full(n, np.nan),
-        iterations=np.zeros(n, np.int64),
-        flags=flags,
-    )
-    return MeasuredFrame(stars=stars, fit=flags == 0, detected_px=pixel)
+    flags = np.where(np.arange(len(pixel)) < burnt, int(StarFlag.SATURATED), 0)
+    return measured_frame(pixel, flux_e=10 ** (-0.4 * (magnitude - 10)), flags=flags, sigma_px=NOISE_PX)
 
 
 def solved(k, stars, *, sky, model, database, truth, near=None):

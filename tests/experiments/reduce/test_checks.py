@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from astropy.io import fits
+from target_frames import GAIN, HEAD, OFFSET, READ, readout, spots, write
 
 from experiments.harness.progress import Progress
 from experiments.harness.quantities import Outcome, Quantities
@@ -21,23 +22,12 @@ from experiments.reduce.poses import FIT, PoseFit
 from experiments.temporal.own_frames import reduce
 from experiments.temporal.settings import Config, experiment
 
-GAIN, OFFSET, READ = 0.25, 60.0, 12.0
 PLACES = np.array([(25.0 + 22.3 * i, 25.0 + 22.2 * j) for j in range(3) for i in range(3)])
 SIZE, FRAMES, SIGMA = 92, 30, 1.1
 
 
 def expected(shift=(0.0, 0.0), signal=8000.0):
-    """Light [e-] of Gaussian spots sampled on the pixels."""
-    row, column = np.indices((SIZE, SIZE))
-    light = np.zeros((SIZE, SIZE))
-    for x, y in PLACES + shift:
-        light += signal / (2 * np.pi * SIGMA**2) * np.exp(-((column - x) ** 2 + (row - y) ** 2) / (2 * SIGMA**2))
-    return light
-
-
-def readout(light, rng, *, top=65535, step=1):
-    electrons = rng.poisson(light) + rng.normal(0.0, READ, light.shape)
-    return (np.rint((OFFSET + GAIN * electrons) / step) * step).clip(0, top).astype(np.uint16)
+    return spots((SIZE, SIZE), PLACES + shift, signal, SIGMA)
 
 
 def judged(folder, frames, *, gain=GAIN, offset=OFFSET, centroid="gaussian", more=""):
@@ -157,8 +147,8 @@ def test_a_gain_ten_per_cent_off_is_named_by_flats(tmp_path, rng):
     flats = [readout(np.full((SIZE, SIZE), 20000.0 * (1 + 0.01 * rng.standard_normal())), rng) for _ in range(4)]
     darks = [readout(np.zeros((SIZE, SIZE)), rng) for _ in range(4)]
     (tmp_path / "a").mkdir()
-    for name, some in (("flat", flats), ("dark", darks)):
-        fits.PrimaryHDU(np.stack(some)).writeto(tmp_path / "a" / f"{name}.fits")
+    for name, frames in (("flat", flats), ("dark", darks)):
+        write(tmp_path / "a" / f"{name}.fits", np.stack(frames))
     frames = [readout(expected(), rng) for _ in range(FRAMES)]
     more = "flat = 'flat.fits'\ndark = 'dark.fits'\n"
     criteria, results = judged(tmp_path / "a", frames, more=more)
@@ -188,10 +178,9 @@ def test_two_frames_are_not_judged(tmp_path, rng):
 def test_files_out_of_order_are_named(tmp_path, rng):
     (tmp_path / "a").mkdir()
     for number, second in enumerate((1, 2, 4, 3, 5, 6)):
-        header = fits.Header({"DATE-OBS": f"2026-05-04T10:00:{second:02d}"})
-        fits.PrimaryHDU(readout(expected(), rng), header).writeto(tmp_path / "a" / f"f{number}.fits")
-    head = f"gain_dn_per_e = {GAIN}\noffset_dn = {OFFSET}\nread_noise_e = {READ}\npixel_arcsec = 5.5\npoints = 9\n"
-    (tmp_path / "a" / "frames.toml").write_text(f"{head}[[series]]\nfiles = 'f*.fits'\n")
+        cards = {"DATE-OBS": f"2026-05-04T10:00:{second:02d}"}
+        write(tmp_path / "a" / f"f{number}.fits", readout(expected(), rng), **cards)
+    (tmp_path / "a" / "frames.toml").write_text(f"{HEAD}points = 9\n[[series]]\nfiles = 'f*.fits'\n")
     read = read_folder(tmp_path / "a", window_px=13)
     checks = check_frames(read, reduce(read, ("gaussian",))[0], "gaussian")
     assert checks.disorder == ["f3.fits after f2.fits"]

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from astropy.io import fits
+from target_frames import HEAD, readout, spots, write
 
 from experiments.chromatic.own_frames import filter_frames as chromatic_from_frames
 from experiments.chromatic.own_frames import own_frames as chromatic_own_frames
@@ -21,7 +22,6 @@ from experiments.temporal.own_frames import reduce as temporal_from_frames
 from render.detector.readout import expose
 from render.engine.random import Streams
 from render.fits.files import write_frame
-from render.records import Frame
 from render.sensor_file.instrument import build_instrument
 from render.sensor_file.tables import InstrumentConfig
 
@@ -125,26 +125,12 @@ def test_rendered_frames_are_what_their_folder_says(still, camera):
     assert checks.top_count <= checks.top_limit
 
 
-def blank(folder, name, shape=(64, 96)):
+def blank(folder, name):
     """A frame with one star."""
-    row, column = np.indices(shape)
-    light = 60.0 + 600.0 * np.exp(-((row - 30) ** 2 + (column - 40) ** 2) / 2.0)
-    noise = np.random.default_rng(len(name)).normal(0.0, 3.0, shape)
-    frame = Frame(
-        dn=np.clip(light + noise, 0, 4095).astype(np.uint16),
-        saturated=np.zeros(shape, bool),
-        defect=np.zeros(shape, bool),
-        gain_dn_per_e=0.25,
-        offset_dn=60.0,
-        read_noise_e=12.0,
-        exposure_s=0.1,
-        band="",
-        index=0,
-    )
-    write_frame(frame, folder / name)
+    light = spots((64, 96), [(40, 30)], 15000.0)
+    write(folder / name, readout(light, np.random.default_rng(len(name))), EXPTIME=0.1)
 
 
-HEAD = "gain_dn_per_e = 0.25\noffset_dn = 60\nread_noise_e = 12\npixel_arcsec = 5.5\n"
 ONE = '[[series]]\nfiles = ["a_*.fits"]\n'
 
 
@@ -152,7 +138,6 @@ ONE = '[[series]]\nfiles = ["a_*.fits"]\n'
 def folder(tmp_path):
     for name in ("a_1.fits", "a_22.fits", "b_1.fits"):
         blank(tmp_path, name)
-    blank(tmp_path, "small.fits", (64, 80))
     return tmp_path
 
 
@@ -168,7 +153,7 @@ def test_a_link_to_a_frame_is_a_frame_and_files_are_in_the_order_of_their_number
 def test_frames_without_dark_ones_lose_a_background(folder):
     (folder / "frames.toml").write_text(HEAD + "points = 1\n" + ONE)
     (series,), _ = temporal_from_frames(read_folder(folder, window_px=9), ("cog", "gaussian"))
-    assert series.signal_e == pytest.approx(600 * 2 * np.pi / 0.25, rel=0.02)
+    assert series.signal_e == pytest.approx(15000.0, rel=0.02)
     np.testing.assert_allclose(series.points.mean_px("gaussian"), [[40, 30]], atol=0.02)
 
 

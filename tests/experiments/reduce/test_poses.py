@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from astropy.io import fits
 from scipy.spatial.transform import Rotation
+from target_frames import readout, spots, write
 
 from experiments.fisher.own_frames import reduce as reduce_vectors
 from experiments.fisher.settings import Config as FisherConfig
@@ -37,15 +37,13 @@ def image_px(outer, inner):
 def poses(tmp_path):
     """30 poses of two frames that calibrate, 20 of one frame that are evaluated; series in a CSV table."""
     rng, rows = np.random.default_rng(17), ["files,name,outer_deg,inner_deg,use"]
-    row, column = np.indices(SIZE[::-1])
     for use, columns, lines, frames in (("calibration", 6, 5, 2), ("evaluation", 5, 4, 1)):
         grid = np.stack(np.meshgrid(np.linspace(-5.6, 5.6, columns), np.linspace(-3.7, 3.7, lines)), -1).reshape(-1, 2)
         for number, (inner, outer) in enumerate(grid + rng.uniform(-0.1, 0.1, grid.shape)):
-            x, y = image_px(np.radians(outer), np.radians(inner))
-            light = 30000.0 / (2.0 * np.pi) * np.exp(-((column - x) ** 2 + (row - y) ** 2) / 2.0)
-            electrons = rng.poisson(light, (frames, *light.shape)) + rng.normal(0.0, 8.0, (frames, *light.shape))
+            light = spots(SIZE[::-1], [image_px(np.radians(outer), np.radians(inner))], 30000.0)
+            dn = readout(np.stack([light] * frames), rng, gain=0.4, offset=100.0, read=8.0)
             name = f"{use[:3]}{number:02d}"
-            fits.PrimaryHDU(np.rint(100 + 0.4 * electrons).astype(np.uint16)).writeto(tmp_path / f"{name}.fits")
+            write(tmp_path / f"{name}.fits", dn)
             outer_deg, inner_deg = np.array([outer, inner]) + rng.normal(0.0, READING / 3600, 2)
             rows.append(f"{name}.fits,{name},{outer_deg},{inner_deg},{use}")
     (tmp_path / "poses.csv").write_text("\n".join(rows) + "\n")

@@ -7,24 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from astropy.io import fits
+from target_frames import HEAD, readout, spots, write
 
 from experiments.__main__ import main as starbench
 from experiments.reduce.command import METHODS
 
 ROOT = Path(__file__).parents[3]
-HEAD = "gain_dn_per_e = 0.25\noffset_dn = 60\nread_noise_e = 12\npixel_arcsec = 5.5\n"
 PLACES = [(30.0 + 25.3 * i, 30.0 + 25.2 * j) for j in range(4) for i in range(4)]
 
 
 def frame(path, rng, shift_px=0.0, places=PLACES):
     """A plain FITS file as any camera program writes it."""
-    row, column = np.indices((140, 140))
-    light = np.zeros(row.shape)
-    for x, y in places:
-        light += 6000.0 / (2 * np.pi) * np.exp(-((column - x - shift_px) ** 2 + (row - y) ** 2) / 2.0)
-    dn = np.rint(60 + 0.25 * (rng.poisson(light) + rng.normal(0.0, 12.0, light.shape)))
-    fits.PrimaryHDU(dn.clip(0, 65535).astype(np.uint16)).writeto(path)
+    write(path, readout(spots((140, 140), np.add(places, [shift_px, 0.0]), 6000.0), rng))
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +27,6 @@ def folder(tmp_path_factory):
     for series in "abc":
         for number in range(4):
             frame(path / f"{series}{number}.fits", rng, shift_px=0.2 * "abc".index(series))
-    fits.PrimaryHDU(np.full((100, 140), 60, np.uint16)).writeto(path / "other.fits")
     return path
 
 
