@@ -46,6 +46,9 @@ One TOML file describes a star sensor, and every experiment but `cube` takes it:
 * A missing key has the default below; only the defaults of `centroid`, `window_px` and `threshold_sigma` depend on
   the experiment.
 * Later layers override earlier ones, key by key: defaults < `--quick` < `--sensor` < `--config` < `--set` < `--seed`.
+* A key is spelled in the same way in this file, in `--config` files, by `--set` and by `--sweep`: by its tables,
+  `instrument.exposure_s`. Its last word is enough where the outermost tables hold it once, `--set exposure_s=0.2`; else
+  the message names the candidates. Every message names the file or option that holds the wrong value.
 * An unknown key is an error that names the nearest one. Settings of a run, such as the slew rate or the star for
   which the NEA is stated, are not part of the file: `--set slew.rate_deg_per_s=0.1`, `--set star.magnitude_mag=5`, or
   a file for `--config`.

@@ -7,12 +7,14 @@ import typing
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic.fields import FieldInfo
 
-from optics.validate import StrictTable, read_toml
+from optics.errors import ConfigError
+from optics.validate import StrictTable, full_key, read_toml
 
 
 @dataclass(frozen=True)
@@ -90,10 +92,37 @@ class StrictModel(StrictTable):
                 )
 
 
-def read_settings(model_class: type[BaseModel], file: str | Path) -> dict[str, Any]:
-    """Settings of a TOML file, not yet validated; relative paths in it are taken from its folder."""
-    settings: dict[str, Any] = _located([model_class], read_toml(file), Path(file).parent)
-    return settings
+def read_settings(
+    model_class: type[BaseModel], file: str | Path, spellings: Mapping[str, str] = MappingProxyType({})
+) -> dict[str, Any]:
+    """Settings of a TOML file, not yet validated; relative paths in it are taken from its folder.
+
+    Keys outside the tables of the model stand for the keys that `optics.validate.full_key` finds.
+    """
+    table = read_toml(file)
+    settings = {key: value for key, value in table.items() if key in model_class.model_fields}
+    for name, value in flat({key: value for key, value in table.items() if key not in settings}).items():
+        try:
+            key = full_key(model_class, name, spellings)
+        except ConfigError as error:
+            raise ConfigError(f"{file}: {error}") from None
+        *steps, last = key.split(".")
+        inner: Any = settings
+        for step in steps:
+            inner = inner.setdefault(step, {}) if isinstance(inner, dict) else None
+        if not isinstance(inner, dict) or last in inner:
+            raise ConfigError(f"{file}: {key} is stated twice, once as {name!r}")
+        inner[last] = value
+    located: dict[str, Any] = _located([model_class], settings, Path(file).parent)
+    return located
+
+
+def flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Values of nested tables by their dotted keys; an empty table is a value."""
+    values: dict[str, Any] = {}
+    for key, value in table.items():
+        values |= flat(value, f"{prefix}{key}.") if isinstance(value, Mapping) and value else {prefix + key: value}
+    return values
 
 
 def _located(annotations: Sequence[Any], value: Any, folder: Path) -> Any:

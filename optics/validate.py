@@ -8,6 +8,7 @@ import tomllib
 import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -61,9 +62,10 @@ class StrictTable(BaseModel):
 
 
 def parse_model(
-    model_class: type[Model], mapping: Mapping[str, Any], where: str | Callable[[list[int | str]], str]
+    model_class: type[Model], mapping: Mapping[str, Any], where: str | Callable[[list[int | str], str], str]
 ) -> Model:
-    """Validate a mapping; ``where``: its source, or the source of the value at a location."""
+    """Validate a mapping; ``where``: its source, or the line of a message, given the location of a fault and a sentence
+    on it."""
     if not isinstance(mapping, Mapping):
         raise ConfigError(f"{where}: a table of keys is needed, got {_shown(mapping)}")
     try:
@@ -122,11 +124,10 @@ def _type_at(model_class: type[BaseModel], location: Location) -> int | None:
 
 
 def _refusal(
-    model_class: type[BaseModel], faults: list[dict[str, Any]], where: str | Callable[[list[int | str]], str]
+    model_class: type[BaseModel], faults: list[dict[str, Any]], where: str | Callable[[list[int | str], str], str]
 ) -> ConfigError:
     if not isinstance(where, str):
-        sources = [where(_without_tags(model_class, fault["loc"])) for fault in faults]
-        lines = [f"{source}: {_sentence(model_class, fault)}" for source, fault in zip(sources, faults, strict=True)]
+        lines = [where(_without_tags(model_class, fault["loc"]), _sentence(model_class, fault)) for fault in faults]
         return ConfigError("\n".join(dict.fromkeys(lines)))
     sentences = [_sentence(model_class, fault) for fault in faults]
     missing = [fault for fault in faults if fault["type"] == "missing"]
@@ -238,7 +239,7 @@ def _sentence(model_class: type[BaseModel], fault: dict[str, Any]) -> str:
                 if location[-1] in other.model_fields:
                     chosen = key.removesuffix(f".{location[-1]}")
                     return f"key {key!r} goes with {chosen}.kind = {_kind(other)!r}; set that too"
-        near = _nearest(str(location[-1]), keys, _dotted(model_class))
+        near = _nearest(str(location[-1]), keys, dotted_fields(model_class))
         hint = f"did you mean {near!r}?" if near else f"known keys: {', '.join(keys)}"
         return f"unknown key {key!r}; {hint}"
     if kind == "union_tag_invalid":
@@ -277,13 +278,45 @@ def _reason(fault: Mapping[str, Any]) -> str:
     return message.replace("Input should be ", "it must be ")
 
 
-def _dotted(model_class: type[BaseModel], prefix: str = "", levels: int = MOST_LEVELS) -> Iterator[str]:
-    """Dotted keys of a model; lists are left out."""
+def dotted_fields(model_class: type[BaseModel], prefix: str = "", levels: int = MOST_LEVELS) -> dict[str, FieldInfo]:
+    """Fields of a model and of its tables by their dotted keys; tables in lists are left out."""
+    fields: dict[str, FieldInfo] = {}
     for name, field in model_class.model_fields.items():
-        yield prefix + name
-        listed = typing.get_origin(field.annotation) in (list, tuple)
-        for inner in () if listed or levels == 0 else _models_in(field.annotation):
-            yield from _dotted(inner, f"{prefix}{name}.", levels - 1)
+        fields[prefix + name] = field
+        listed = typing.get_origin(field.annotation) in (list, tuple, dict)
+        for table in () if listed or levels == 0 else _models_in(field.annotation):
+            fields |= dotted_fields(table, f"{prefix}{name}.", levels - 1)
+    return fields
+
+
+def full_key(model_class: type[BaseModel], name: str, spellings: Mapping[str, str] = MappingProxyType({})) -> str:
+    """Dotted key of a model that a name stands for: the key itself, or its last words.
+
+    Of several keys with these last words the outermost table's is meant. A name that no key ends with is returned as it
+    is. ``spellings``: tables or keys that stand elsewhere in the model -> where, preferred among several keys.
+
+    Raises
+    ------
+    ConfigError
+        Several keys of the outermost tables end with the name.
+    """
+    words = name.split(".")
+    if words[0] in model_class.model_fields:
+        return name
+    for table, key in spellings.items():
+        if f"{name}.".startswith(f"{table}."):
+            return key + name.removeprefix(table)
+    fields = dotted_fields(model_class)
+    for count in range(len(words), 0, -1):  # numbers of items, keys of an open table may follow
+        ending, rest = "." + ".".join(words[:count]), words[count:]
+        keys = [key for key in fields if key.endswith(ending)]
+        keys = [key for key in keys if f"{key}.".startswith(tuple(f"{at}." for at in spellings.values()))] or keys
+        keys = [key for key in keys if key.count(".") == min(key.count(".") for key in keys)]
+        if len(keys) > 1:
+            raise ConfigError(f"key {name!r} is ambiguous: {' or '.join(keys)}; write one of them")
+        if keys:
+            return ".".join((*keys, *rest))
+    return name
 
 
 def _nearest(name: str, siblings: Iterable[str], all_keys: Iterable[str]) -> str:

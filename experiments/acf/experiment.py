@@ -194,7 +194,7 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
         return _sections(config, trials, figures) | {
             "implied": guess,
             "fig4": fig4(config, trials, inferred),
-            "matching": [matching_stars(config, um) for um in (config.camera.pixel_um, pixel_um)],
+            "matching": [matching_stars(config, um) for um in (config.camera.pixel_pitch_um, pixel_um)],
         }
 
 

@@ -165,7 +165,7 @@ def fig4(config: Config, trials: Mapping[str, Trials], inferred: Point) -> list[
         sky = sky_of(config, point, 0)
         cases.append(
             Fig4(
-                pixel_um=point.pixel_um or config.camera.pixel_um,
+                pixel_um=point.pixel_um or config.camera.pixel_pitch_um,
                 stars=point.stars or len(sky.stars) / config.frames,
                 rms_px=measured(rms, error),
                 expected_axis_px=expected.axis_px,

@@ -45,7 +45,7 @@ def camera_settings(config: InstrumentConfig) -> dict[str, Any]:
     return {
         "width_px": camera.width_px,
         "height_px": camera.height_px,
-        "pixel_um": 1e3 * camera.pixel_pitch_mm,
+        "pixel_pitch_um": 1e3 * camera.pixel_pitch_mm,
         "x0_px": float(x0_px),
         "y0_px": float(y0_px),
         **fitted,

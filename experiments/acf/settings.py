@@ -45,7 +45,7 @@ class CameraConfig(StrictModel):
 
     width_px: int = Field(default=1024, ge=16, le=20000, description="columns")
     height_px: int = Field(default=1024, ge=16, le=20000, description="rows")
-    pixel_um: float = Field(default=10.0, gt=0, le=1000, description="pixel pitch; not stated by ACF17")
+    pixel_pitch_um: float = Field(default=10.0, gt=0, le=1000, description="pixel pitch; not stated by ACF17")
     focal_length_mm: float = Field(default=25.6, gt=0, le=1e5, description="focal length")
     x0_px: float = Field(
         default=10.0, ge=-1e5, le=1e5, description="principal point from the centre of the image, columns"
@@ -62,7 +62,7 @@ class CameraConfig(StrictModel):
     @property
     def diagonal_deg(self) -> float:
         """Field across the diagonal, without distortion."""
-        half_mm = 0.5e-3 * self.pixel_um * math.hypot(self.width_px, self.height_px)
+        half_mm = 0.5e-3 * self.pixel_pitch_um * math.hypot(self.width_px, self.height_px)
         return 2.0 * math.degrees(math.atan2(half_mm, self.focal_length_mm))
 
     @model_validator(mode="after")
@@ -221,7 +221,7 @@ experiment = Experiment(
     examples={
         "--quick": "a small run",
         "--set runs=20": "fewer runs",
-        "--set camera.pixel_um=6.36 --set sky.stars_per_frame=21": "pixel size, star count implied by ACF17's Table 2",
+        "--set camera.pixel_pitch_um=6.36 --set sky.stars_per_frame=21": "pixel pitch and stars implied by ACF17",
     },
     show=("table2", "fig4"),
     renders=lambda _: False,

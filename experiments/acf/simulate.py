@@ -46,7 +46,7 @@ class Scene:
 def build_camera(config: Config, pixel_um: float | None = None) -> BrownConrady:
     """The true camera, with another pixel if one is given."""
     c = config.camera
-    pitch_mm = 1e-3 * (c.pixel_um if pixel_um is None else pixel_um)
+    pitch_mm = 1e-3 * (c.pixel_pitch_um if pixel_um is None else pixel_um)
     camera = BrownConrady.create(
         SensorGeometry(width_px=c.width_px, height_px=c.height_px, pixel_pitch_mm=pitch_mm),
         focal_length_mm=c.focal_length_mm,

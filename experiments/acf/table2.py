@@ -162,7 +162,7 @@ def implied(points: int = 29, printed: FloatArray = PRINTED) -> Implied:
     weight = np.exp(over_pixel - over_pixel.max())
     mean = float(weight @ tried / weight.sum())
     sigma = float(np.sqrt(weight @ (tried - mean) ** 2 / weight.sum()))
-    assumed_chi2, assumed = _fit(config, config.camera.pixel_um, stars, printed)
+    assumed_chi2, assumed = _fit(config, config.camera.pixel_pitch_um, stars, printed)
     return Implied(
         pixel_um=Measured(value=mean, unit="um", uncertainty=sigma, n=FIRST),
         stars=float(stars[place[1]]),

@@ -18,7 +18,7 @@ from experiments.dataset.frame import LAYER_WORDS
 from experiments.dataset.labels import CLASSES
 from experiments.dataset.truth import COLUMNS, FLAGS, FileColumn, FrameRecord
 from experiments.dataset.truth_files import INDEX_COLUMNS, index_bytes
-from experiments.harness.outputs import flat
+from optics.settings import flat
 from render.fits.files import read_frame
 from render.fits.preview import preview
 from render.sky.partition import GAP, PARTS, leakage

@@ -27,11 +27,12 @@ from typing import TYPE_CHECKING, Any
 from experiments.dataset.settings import DatasetConfig
 from experiments.dataset.truth import FrameRecord
 from experiments.dataset.truth_files import read_origin, read_record
-from experiments.harness.outputs import flat, shown_value
+from experiments.harness.outputs import shown_value
 from experiments.harness.registry import version_of
 from experiments.harness.summary import dumps
 from experiments.harness.system import lock_folder, prompt_pool
 from optics.errors import ConfigError
+from optics.settings import flat
 
 if TYPE_CHECKING:
     from experiments.harness.progress import Progress

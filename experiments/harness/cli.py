@@ -87,7 +87,8 @@ def _options(experiment: Experiment) -> list[click.Parameter]:
             ["--set", "settings"],
             metavar="KEY=VALUE",
             multiple=True,
-            help="Change a setting, e.g. instrument.exposure_s=0.2; repeatable.",
+            help="Change a setting, e.g. instrument.exposure_s=0.2, or exposure_s=0.2 if no other key ends so; "
+            "repeatable.",
             shell_complete=keys,
         ),
         click.Option(["--seed"], type=click.IntRange(min=0), help="Seed of all random streams."),

@@ -5,15 +5,15 @@ from __future__ import annotations
 import re
 import tomllib
 import typing
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, ClassVar, TypeVar
 
 from pydantic import AfterValidator, BaseModel, Field, TypeAdapter, ValidationError
 
 from optics.errors import ConfigError
-from optics.settings import StrictModel, alternatives, is_model, read_settings
-from optics.validate import MOST_LEVELS, parse_model, refuse_values
+from optics.settings import StrictModel, alternatives, flat, is_model, read_settings
+from optics.validate import MOST_LEVELS, full_key, parse_model, refuse_values
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -42,6 +42,10 @@ class ExperimentConfig(StrictModel):
     Every field needs a default and should carry a ``Field(description=...)``: the descriptions appear in error messages
     and in the JSON schema.
     """
+
+    SENSOR_KEYS: ClassVar[Mapping[str, str]] = {}
+    """Tables and keys of a sensor file that stand elsewhere in this configuration -> where. With a sensor file, every
+    layer of settings takes both spellings."""
 
     seed: int = Field(default=1, ge=0, le=2**63 - 1, description="seed of all random streams")
 
@@ -80,79 +84,93 @@ def load_config(
 ) -> Model:
     """Configuration from its layers; a later layer wins, and only the keys that it names.
 
-    Values that the layers imply (`ExperimentConfig.implied`) yield to all that the user sets.
+    Every layer takes the keys that `optics.validate.full_key` takes. Values that the layers imply
+    (`ExperimentConfig.implied`) yield to all that the user sets.
+
+    Raises
+    ------
+    ConfigError
+        One line: source of the wrong value, key, value and allowed range.
     """
+    spellings = getattr(model_class, "SENSOR_KEYS", {}) if sensor is not None else {}
     base = model_class().model_dump()
     for key, value in (quick or {}).items():
-        base = _with_value(model_class, base, key, value, f"quick setting {key!r}")
+        base = _with_value(model_class, base, key, value, "--quick")
     tables: dict[str, Mapping[str, Any]] = {}
     if sensor is not None:
         tables[str(sensor)] = _as_experiment(model_class).of_sensor(Path(sensor))
     if file is not None:
-        tables[str(file)] = read_settings(model_class, file)
-    given = [*(("--set", one) for one in settings), *((f"--{name}", one) for name, one in (options or {}).items())]
-    if seed is not None:
-        given.append(("--seed", f"seed={seed}"))
+        tables[str(file)] = read_settings(model_class, file, spellings)
+    texts = [(f"--set {one}", one) for one in settings]
+    texts += [(f"--{name}", one) for name, one in (options or {}).items()]
+    texts += [("--seed", f"seed={seed}")] if seed is not None else []
+    assignments = [(source, *_assignment(model_class, source, text, spellings)) for source, text in texts]
 
-    def overlaid(below: dict[str, Any]) -> dict[str, Any]:
+    def overlaid(values: dict[str, Any]) -> dict[str, Any]:
         for table in tables.values():
-            below = _laid(model_class, below, table)
+            values = _laid(model_class, values, table)
         if file is not None:
-            refuse_values(model_class, below, tables[str(file)], str(file))
-        for name, setting in given:
-            below = with_settings(model_class, below, [setting], name)
-        return below
+            refuse_values(model_class, values, tables[str(file)], str(file))
+        for source, key, value in assignments:
+            values = _with_value(model_class, values, key, value, source)
+        return values
 
     values = overlaid(base)
     if issubclass(model_class, ExperimentConfig) and (implied := model_class.implied(values)):
         values = overlaid(_laid(model_class, base, implied))
+    sources = dict.fromkeys(quick or (), "--quick")
+    sources |= {key: name for name, table in tables.items() for key in flat(table)}
+    for source, key, _ in assignments:
+        sources = {name: stated for name, stated in sources.items() if not name.startswith(f"{key}.")} | {key: source}
 
-    def source(location: Sequence[int | str]) -> str:
-        """The last layer that holds a value, or part of a table."""
-        path = [str(step) for step in location]
-        for option, setting in reversed(given):
-            key = setting.partition("=")[0].strip().split(".")
-            if all(one == other for one, other in zip(key, path, strict=False)):
-                return f"--set {setting}" if option == "--set" else option
-        return next((name for name in reversed(tables) if _holds(tables[name], path)), "configuration")
+    def line(location: Sequence[int | str], sentence: str) -> str:
+        source = _source(sources, ".".join(map(str, location)), sentence)
+        if source == str(sensor):
+            for spelling, key in spellings.items():
+                sentence = sentence.replace(key, spelling)
+        return sentence if sentence.startswith(source) else f"{source}: {sentence}"
 
-    # One look at the whole: two settings may be valid only together.
-    return parse_model(model_class, values, source)
+    # Settings may be valid only together, so that all are validated at once
+    return parse_model(model_class, values, line)
 
 
-def _holds(table: Any, path: Sequence[str]) -> bool:
-    """Whether nested tables and lists have an entry at a path."""
-    for step in path:
-        if isinstance(table, Mapping) and step in table:
-            table = table[step]
-        elif isinstance(table, list | tuple) and step.isdigit() and int(step) < len(table):
-            table = table[int(step)]
-        else:
-            return False
-    return True
+def _assignment(model_class: type[BaseModel], source: str, text: str, spellings: Mapping[str, str]) -> tuple[str, Any]:
+    """Key and value of ``key=value``."""
+    name, equals, written = text.partition("=")
+    name = name.strip()
+    if not equals or not name:
+        raise ConfigError(f"{source}: key=value is needed, e.g. --set seed=7")
+    if name.count(".") > MOST_LEVELS:
+        raise ConfigError(f"--set {name[:60]}...: no key has more than {MOST_LEVELS} dots")
+    try:
+        key = full_key(model_class, name, spellings)
+    except ConfigError as error:
+        raise ConfigError(f"{source}: {error}") from None
+    return key, _typed(_annotation_at(model_class, key.split(".")), written.strip())
+
+
+def _source(sources: Mapping[str, str], path: str, sentence: str) -> str:
+    """Source of the value at a path; of a fault of several values, the sources of those that the sentence names."""
+    if above := [key for key in sources if f"{path}.".startswith(f"{key}.")]:
+        return sources[max(above, key=len)]
+    while path and not any(key.startswith(f"{path}.") for key in sources):  # a missing key has the source of its table
+        path = path.rpartition(".")[0]
+    inside = {key: source for key, source in sources.items() if not path or key.startswith(f"{path}.")}
+    named = {source for key, source in inside.items() if _names(sentence, key)}
+    stated = [source for source in dict.fromkeys(inside.values()) if not named or source in named]
+    return ", ".join(stated) if named or path or len(stated) == 1 else "settings" if stated else "default settings"
+
+
+def _names(sentence: str, key: str) -> bool:
+    """Whether a sentence names a key by its last word, which is no word of prose."""
+    word = re.escape(key.rpartition(".")[2])
+    return re.search(rf"\b{word}\b" if "_" in word else rf"--{word}\b|\b{word} = ", sentence) is not None
 
 
 def _as_experiment(model_class: type[BaseModel]) -> type[ExperimentConfig]:
     if not issubclass(model_class, ExperimentConfig):
         raise TypeError(f"{model_class.__name__} is no ExperimentConfig")
     return model_class
-
-
-def with_settings(
-    model_class: type[BaseModel], values: Mapping[str, Any], settings: Iterable[str], option: str = "--set"
-) -> dict[str, Any]:
-    """Apply ``key=value`` settings to a configuration mapping, without validating it."""
-    result = dict(values)
-    for setting in settings:
-        key, equals, text = setting.partition("=")
-        key = key.strip()
-        if not equals or not key:
-            raise ConfigError(f"--set {setting}: key=value is needed, e.g. --set seed=7")
-        if key.count(".") > MOST_LEVELS:
-            raise ConfigError(f"--set {key[:60]}...: no key has more than {MOST_LEVELS} dots")
-        value = _typed(_annotation_at(model_class, key.split(".")), text.strip())
-        result = _with_value(model_class, result, key, value, f"--set {setting}" if option == "--set" else option)
-    return result
 
 
 def _with_value(

@@ -69,6 +69,8 @@ class OutputFolder:
 
     def refuse_other_run(self, experiment: str, config: Mapping[str, Any]) -> None:
         """Refuse a folder that holds the output of another experiment, or of this one with other settings."""
+        from optics.settings import flat
+
         record = self._record()
         if not {"experiment", "config"} <= record.keys():
             return  # none; what is not ours was refused before
@@ -138,13 +140,6 @@ class OutputFolder:
             finally:
                 shutil.rmtree(earlier, ignore_errors=True)
         _sync(self.path.parent)
-
-
-def flat(value: Any, key: str = "") -> dict[str, Any]:
-    """Nested settings as dotted key -> value."""
-    if isinstance(value, Mapping):
-        return {path: item for name, part in value.items() for path, item in flat(part, f"{key}.{name}").items()}
-    return {key.removeprefix("."): value}
 
 
 def shown_value(values: Mapping[str, Any], key: str) -> str:

@@ -9,9 +9,9 @@ import math
 import operator
 import re
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +19,8 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 
 from optics.errors import ConfigError, unknown_name
-from optics.settings import alternatives
-from optics.validate import allowed_range, parse_model
+from optics.settings import annotated
+from optics.validate import allowed_range, dotted_fields, full_key, parse_model
 
 LARGEST = 200
 """Most points of a sweep."""
@@ -36,80 +36,103 @@ class SweepRange:
     values: tuple[float, ...]  # In order; whole numbers where the configuration has whole numbers
 
 
-def leaf_keys(model: type[BaseModel], prefix: str = "") -> dict[str, FieldInfo]:
+def leaf_keys(model: type[BaseModel]) -> dict[str, FieldInfo]:
     """Dotted keys of all single numbers of a configuration, with their fields."""
-    found: dict[str, FieldInfo] = {}
-    for name, field in model.model_fields.items():
-        annotation = field.annotation
-        if tables := [part for part in alternatives(annotation) if _is_model(part)]:
-            for table in tables:
-                found |= leaf_keys(table, f"{prefix}{name}.")
-        elif _number_of(annotation) is not None and name not in _NOT_SWEPT:
-            found[prefix + name] = field
-    return found
-
-
-def _is_model(annotation: Any) -> bool:
-    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
+    return {
+        key: field
+        for key, field in dotted_fields(model).items()
+        if _number_of(field.annotation) is not None and key.rpartition(".")[2] not in _NOT_SWEPT
+    }
 
 
 def _number_of(annotation: Any) -> type | None:
     """``float`` or ``int`` if the field holds one such number (or nothing, or a word in its place), else None."""
     several = typing.get_origin(annotation) not in (None, tuple, list)
     parts = typing.get_args(annotation) if several else (annotation,)
-    plain = (getattr(one, "__origin__", one) for one in parts if typing.get_origin(one) is not Literal)
+    plain = (getattr(part, "__origin__", part) for part in parts if typing.get_origin(part) is not Literal)
     kinds = {*plain} - {type(None)}
     return next(iter(kinds)) if kinds in ({float}, {int}) else None
 
 
-def parse_sweep(text: str, keys: Mapping[str, FieldInfo]) -> SweepRange:
-    """Read a sweep."""
-    name, equals, values = text.partition("=")
-    if not equals or not values.strip():
-        raise ConfigError(f"sweep {text!r}: {_FORM}")
-    key = _full_key(name.strip(), keys)
-    points: NDArray[Any] = (_listed if "," in values else _spaced)(text, values)
-    if _number_of(keys[key].annotation) is int:
+def parse_sweep(text: str, model: type[BaseModel], not_swept: Collection[str] = ()) -> SweepRange:
+    """Sweep of a configuration; ``not_swept``: tables that no prediction depends on.
+
+    Raises
+    ------
+    ConfigError
+        Unknown or ambiguous key, a key without a number, a malformed range, or values that the key does not allow.
+    """
+    try:
+        name, _, values = text.partition("=")
+        if not values.strip():
+            raise ConfigError(_FORM)
+        key = full_key(model, name.strip())
+        return SweepRange(key=key, values=_values(values, key, _swept_field(model, key, not_swept)))
+    except ConfigError as error:
+        raise ConfigError(f"--sweep {text}: {error}") from None
+
+
+def _swept_field(model: type[BaseModel], key: str, not_swept: Collection[str]) -> FieldInfo:
+    numbers = leaf_keys(model)
+    if key.partition(".")[0] in not_swept:
+        raise ConfigError(f"the prediction does not depend on {key}")
+    if key not in numbers:
+        if key in dotted_fields(model):
+            raise ConfigError(f"{key} cannot be swept; a key with one number is needed")
+        raise unknown_name("key", key, numbers if "." in key else {number.rpartition(".")[2] for number in numbers})
+    return numbers[key]
+
+
+def _values(text: str, key: str, field: FieldInfo) -> tuple[float, ...]:
+    """Values of a range or list that the field allows."""
+    points: NDArray[Any] = (_listed if "," in text else _spaced)(text)
+    if _number_of(field.annotation) is int:
         points = np.unique(np.rint(points).astype(int))
         if len(points) < 2:
-            raise ConfigError(f"sweep {text!r}: {key} takes whole numbers, and the range holds fewer than two of them")
-    return SweepRange(key=key, values=tuple(points.tolist()))
+            raise ConfigError(f"{key} takes whole numbers, and the range holds fewer than two of them")
+    values = tuple(points.tolist())
+    for value in (min(values), max(values)):
+        try:
+            TypeAdapter[Any](annotated(field)).validate_python(value)
+        except ValidationError:
+            raise ConfigError(f"{key} = {value:g} is out of range (allowed: {allowed_range(field)})") from None
+    return values
 
 
-def _numbers(text: str, words: Sequence[str]) -> list[float]:
+def _numbers(words: Sequence[str]) -> list[float]:
     try:
-        found = [float(word) for word in words]
+        numbers = [float(word) for word in words]
     except ValueError:
-        raise ConfigError(f"sweep {text!r}: {' and '.join(map(repr, words))} must be numbers; {_FORM}") from None
-    if not all(map(math.isfinite, found)):
-        raise ConfigError(f"sweep {text!r}: all values must be finite numbers")
-    return found
+        raise ConfigError(f"{' and '.join(map(repr, words))} must be numbers; {_FORM}") from None
+    if not all(map(math.isfinite, numbers)):
+        raise ConfigError("all values must be finite numbers")
+    return numbers
 
 
-def _listed(text: str, values: str) -> NDArray[Any]:
+def _listed(text: str) -> NDArray[Any]:
     """Values of a list, in rising order."""
-    points = np.unique(_numbers(text, [word.strip() for word in values.split(",")]))
+    points = np.unique(_numbers([word.strip() for word in text.split(",")]))
     if not 2 <= len(points) <= LARGEST:
-        raise ConfigError(f"sweep {text!r}: {len(points)} different values; 2 to {LARGEST} are needed")
+        raise ConfigError(f"{len(points)} different values; 2 to {LARGEST} are needed")
     return points + 0.0  # no minus zero
 
 
-def _spaced(text: str, values: str) -> NDArray[Any]:
+def _spaced(text: str) -> NDArray[Any]:
     """Values of a range."""
-    parts = [part.strip() for part in values.split(":")]
-    even = len(parts) == 3
-    if not even and (len(parts) != 4 or parts[3] != "log"):
-        raise ConfigError(f"sweep {text!r}: {_FORM}")
-    low, high = _numbers(text, parts[:2])
+    parts = [part.strip() for part in text.split(":")]
+    linear = len(parts) == 3
+    if not linear and (len(parts) != 4 or parts[3] != "log"):
+        raise ConfigError(_FORM)
+    low, high = _numbers(parts[:2])
     if low == high:
-        raise ConfigError(f"sweep {text!r}: the range from {low:g} to {high:g} is empty")
+        raise ConfigError(f"the range from {low:g} to {high:g} is empty")
     if not re.fullmatch(r"\d+", parts[2]) or not 2 <= int(parts[2]) <= LARGEST:
-        raise ConfigError(f"sweep {text!r}: {parts[2]!r} points; a whole number from 2 to {LARGEST} is needed")
-    if even:
+        raise ConfigError(f"{parts[2]!r} points; a whole number from 2 to {LARGEST} is needed")
+    if linear:
         digits = 12 - int(np.floor(np.log10(max(abs(low), abs(high)))))
         return np.asarray(np.round(np.linspace(low, high, int(parts[2])), digits) + 0.0)  # 0.15, and no minus zero
     if min(low, high) <= 0:
-        raise ConfigError(f"sweep {text!r}: a logarithmic range holds positive numbers only")
+        raise ConfigError("a logarithmic range holds positive numbers only")
     return np.array([float(f"{value:.12g}") for value in np.geomspace(low, high, int(parts[2]))])
 
 
@@ -119,19 +142,6 @@ def logarithmic(values: Sequence[float]) -> bool:
         return False
     plain, logs = np.diff(values), np.diff(np.log(values))
     return bool(np.std(logs) / abs(np.mean(logs)) < np.std(plain) / abs(np.mean(plain)) - 1e-6)
-
-
-def _full_key(name: str, keys: Mapping[str, FieldInfo]) -> str:
-    if name in keys:
-        return name
-    tails = [key for key in keys if key.endswith(f".{name}")]
-    tails.sort(key=lambda key: key.count("."))
-    if tails and (len(tails) == 1 or tails[0].count(".") < tails[1].count(".")):  # of the outer table
-        return tails[0]
-    if tails:
-        raise ConfigError(f"sweep: {name!r} is ambiguous: {' and '.join(tails)}; name one of them")
-    words = {key.rpartition(".")[2] for key in keys}
-    raise unknown_name("parameter of the sweep", name, keys if "." in name else words)
 
 
 _UNITS = {
@@ -153,19 +163,6 @@ def quantity_of(key: str) -> tuple[str, str]:
     return _NAMES.get(name, name), _UNITS.get("_".join(words[end:]), "")
 
 
-def check_range(model: type[BaseModel], sweep: SweepRange) -> None:
-    """Refuse a sweep that leaves the allowed values of its parameter."""
-    field = leaf_keys(model)[sweep.key]
-    constrained: Any = Annotated[field.annotation, "", *field.metadata]
-    takes = TypeAdapter[Any](constrained)
-    for value in (min(sweep.values), max(sweep.values)):
-        try:
-            takes.validate_python(value)
-        except ValidationError:
-            bounds = allowed_range(field)
-            raise ConfigError(f"sweep: {sweep.key} = {value:g} is not allowed; it must be {bounds}") from None
-
-
 def value_at(config: BaseModel, key: str) -> Any:
     """The value at a dotted key."""
     return operator.attrgetter(key)(config)
@@ -173,11 +170,11 @@ def value_at(config: BaseModel, key: str) -> Any:
 
 def with_value(config: Any, key: str, value: Any) -> Any:
     """A copy of a configuration with another value at a dotted key; checked again."""
-    values = node = config.model_dump()
-    *tables, last = key.split(".")
-    for word in tables:
-        if not isinstance(node[word], dict):
-            raise ConfigError(f"{key}: {word} is {node[word]!r}, not a table with this key")
-        node = node[word]
-    node[last] = value
-    return parse_model(type(config), values, key)
+    values = table = config.model_dump()
+    *names, last = key.split(".")
+    for name in names:
+        if not isinstance(table[name], dict):
+            raise ConfigError(f"{key}: {name} is {table[name]!r}, not a table with this key")
+        table = table[name]
+    table[last] = value
+    return parse_model(type(config), values, lambda location, sentence: sentence)

@@ -16,7 +16,7 @@ from pydantic import Field, create_model, model_validator
 from experiments.harness.config import ExperimentConfig
 from experiments.harness.experiment import Experiment
 from experiments.harness.progress import Progress
-from experiments.harness.range import SweepRange, check_range, leaf_keys, parse_sweep
+from experiments.harness.range import SweepRange, parse_sweep
 
 MOST_POINTS, MOST_SENSORS = 400, 7
 
@@ -36,21 +36,17 @@ class SweptConfig(ExperimentConfig):
     @model_validator(mode="after")
     def _sweeps(self) -> SweptConfig:
         ranges = self.sweep_ranges
-        for one in ranges:
-            check_range(type(self), one)
-        if len({one.key for one in ranges}) < len(ranges):
-            raise ValueError(f"sweep: {ranges[0].key} is swept twice")
-        points = math.prod(len(one.values) for one in ranges)
+        if len({axis.key for axis in ranges}) < len(ranges):
+            raise ValueError(f"--sweep: {ranges[0].key} is swept twice")
+        points = math.prod(len(axis.values) for axis in ranges)
         if points > MOST_POINTS:
-            raise ValueError(f"sweep: {points} points; at most {MOST_POINTS} together")
+            raise ValueError(f"--sweep: {points} points; at most {MOST_POINTS} together")
         return self
 
     @property
     def sweep_ranges(self) -> tuple[SweepRange, ...]:
         """Keys that are swept, with their values."""
-        known = leaf_keys(type(self)).items()
-        keys = {key: field for key, field in known if key.partition(".")[0] not in self.NOT_SWEPT}
-        return tuple(parse_sweep(text, keys) for text in self.sweep)
+        return tuple(parse_sweep(text, type(self), self.NOT_SWEPT) for text in self.sweep)
 
 
 def with_what_if(declared: Experiment, *, renders: bool = False) -> Experiment:

@@ -17,13 +17,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from experiments.harness.experiment import Experiment
-from experiments.harness.outputs import flat
 from experiments.harness.progress import Progress
 from experiments.harness.quantities import Outcome, Quantities, Quantity, shown_unit
 from experiments.harness.range import logarithmic, quantity_of, value_at, with_value
 from experiments.harness.sections import Section, col, single_numbers
 from optics.arrays import FloatArray
 from optics.errors import DomainError, StarbenchError
+from optics.settings import flat
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

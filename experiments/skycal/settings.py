@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
@@ -125,6 +125,11 @@ class StartConfig(StrictModel):
 class Config(SensorExperimentConfig):
     """Sixty frames through the 206 mm lens and through a wide one."""
 
+    SENSOR_KEYS: ClassVar[Mapping[str, str]] = {
+        "instrument": "own.instrument",
+        "catalogue.faintest_mag": "own.faintest_mag",
+    }
+
     which: Literal["both", "narrow", "wide", "own"] = Field(
         default="both", description="cameras; own: from a sensor file"
     )
@@ -161,7 +166,10 @@ class Config(SensorExperimentConfig):
     def _turns(self) -> Config:
         total = self.motion.rate_deg_per_s * (self.frames - 1) / self.motion.frame_rate_hz
         if not math.isfinite(total) or total > 3600.0:
-            raise ValueError(f"the camera turns by {total:.0f} deg; at most 3600 deg (ten revolutions) are possible")
+            raise ValueError(
+                f"motion.rate_deg_per_s = {self.motion.rate_deg_per_s:g}, frames = {self.frames}: the camera turns by "
+                f"{total:.0f} deg; at most 3600 deg (ten revolutions) are possible"
+            )
         if self.gyro.rate_hz < self.motion.frame_rate_hz:
             raise ValueError(
                 f"gyro.rate_hz = {self.gyro.rate_hz:g} Hz: at least motion.frame_rate_hz = "

@@ -11,7 +11,6 @@ from typing import Any
 
 from calib.accuracy.ecss_metrics import mixture_bound, normal_factor, quantile_limit
 from calib.attitude.attitude_covariance import attitude_of_velocity
-from experiments.harness.outputs import flat
 from experiments.harness.progress import Progress
 from experiments.harness.provenance import without_paths
 from experiments.harness.quantities import Outcome
@@ -21,6 +20,7 @@ from experiments.statement.clauses import CLAUSES
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, StarbenchError
 from optics.rays.thermal_sensitivity import ThermalSensitivity, thermal_sensitivity
+from optics.settings import flat
 from optics.units import RAD_ARCSEC
 from render.sensor_file.instrument import build_instrument, housing_of
 

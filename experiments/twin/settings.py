@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field, field_validator
 
@@ -69,6 +70,8 @@ class NightConfig(StrictModel):
 
 class Config(ExperimentConfig):
     """Frames, prior knowledge and rendered sets."""
+
+    SENSOR_KEYS: ClassVar[Mapping[str, str]] = {"instrument.exposure_s": "camera.exposure_s"}
 
     frames: FolderName = Field(default="", description="folder of frames; empty: frames of a known camera are rendered")
     camera: CameraConfig = CameraConfig()

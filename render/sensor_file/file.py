@@ -136,15 +136,18 @@ def in_best_focus(instrument: InstrumentConfig, passband: PassbandConfig) -> Ins
 def read_sensor(file: str | Path, model: type[SensorFile] = SensorFile) -> dict[str, Any]:
     """Validated contents of a sensor file, without missing keys; relative paths are taken from its folder.
 
-    `ConfigError` names the key, its value and the allowed range, or a lens file given in its place.
+    `ConfigError` names the key, its value and the allowed range, or a lens or detector file given in its place.
     """
     from optics.files.read import FOREIGN
 
-    path, lens = str(file), Path(file).name
+    path = str(file)
     table = read_toml(file) if path.lower().endswith(".toml") else {}
-    if path.lower().endswith(FOREIGN) or "surface" in table or table.get("kind") == "measured":
+    lens = path.lower().endswith(FOREIGN) or "surface" in table or table.get("kind") == "measured"
+    if lens or "pixel_pitch_um" in table:
+        kind = "lens" if lens else "detector"
         raise ConfigError(
-            f'{path} is a lens file where a sensor file is needed; name it in one: [instrument] lens = "{lens}"'
+            f"{path} is a {kind} file where a sensor file is needed; name it in one: "
+            f'[instrument] {kind} = "{Path(file).name}"'
         )
     given = read_settings(model, file)
     parse_model(model, given, path)

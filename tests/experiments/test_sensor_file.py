@@ -106,6 +106,24 @@ def test_skycal_runs_the_camera_of_the_file_alone():
     assert config.own.faintest_mag == 7.0
 
 
+def test_keys_of_the_sensor_file_are_taken_where_the_configuration_holds_them_elsewhere(tmp_path):
+    """skycal's camera ``own`` and twin's exposure time are of the sensor file, by whose keys they are set too."""
+    (tmp_path / "run.toml").write_text("[catalogue]\nfaintest_mag = 6.5\n")
+    config = load_config(
+        config_class("skycal"), sensor=EXAMPLE, file=tmp_path / "run.toml", settings=["instrument.exposure_s=0.7"]
+    )
+    assert (config.own.instrument.exposure_s, config.own.faintest_mag) == (0.7, 6.5)
+    short = load_config(config_class("skycal"), sensor=EXAMPLE, settings=["exposure_s=0.7"])
+    assert short.own.instrument.exposure_s == 0.7
+    twin = load_config(config_class("twin"), sensor=EXAMPLE, settings=["instrument.exposure_s=0.7"])
+    assert twin.camera.exposure_s == 0.7
+    (tmp_path / "my.toml").write_text("faintest_mag = 12")
+    with pytest.raises(ConfigError, match=r"my\.toml: catalogue\.faintest_mag = 12"):
+        load_config(config_class("skycal"), sensor=tmp_path / "my.toml")
+    with pytest.raises(ConfigError, match=r"narrow\.instrument\.exposure_s or wide\.instrument\.exposure_s or own"):
+        load_config(config_class("skycal"), settings=["exposure_s=1"])
+
+
 def test_cube_says_why_it_takes_no_sensor(capsys):
     assert starbench(["cube", "--sensor", str(EXAMPLE)]) == 2
     assert "cube measures a sun sensor" in capsys.readouterr().err
@@ -125,11 +143,14 @@ def test_cube_says_why_it_takes_no_sensor(capsys):
         ("[passband]\nrange_nm = [900, 450]", "two increasing wavelengths"),
         ("instrument = 3", "a table is needed"),
         ("[instrument", "not valid TOML"),
+        ("edge_nm = 3", "key 'edge_nm' is ambiguous: passband.edge_nm or filters.edge_nm"),
+        ("detector = detector.toml", 'quote it: detector = "detector.toml"'),
+        ("pixel_pitch_um = 5.5", r'a detector file where .*: \[instrument\] detector = "my.toml"'),
     ],
 )
 def test_what_is_wrong_in_a_file_is_said(text, said, tmp_path):
     (tmp_path / "my.toml").write_text(text, encoding="utf-8")
-    with pytest.raises(ConfigError, match=f"my.toml: .*{said}"):
+    with pytest.raises(ConfigError, match=f"my.toml(:| is) .*{said}"):
         load_config(config_class("chromatic"), sensor=tmp_path / "my.toml")
 
 

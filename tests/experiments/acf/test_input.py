@@ -24,7 +24,7 @@ SETTINGS = [
     (["gyro.rate_hz=0.5"], "gyro.rate_hz = 0.5 Hz: at least frame_rate_hz = 1 Hz"),
     (["gyro.installation_deg=[2,2]"], "gyro.installation_deg"),
     (["camera.focal_length_mm=1"], "the field is 164 deg across the diagonal; at most 120 deg"),
-    (["camera.pixel_um=1000"], "the field is .* deg across the diagonal"),
+    (["camera.pixel_pitch_um=1000"], "the field is .* deg across the diagonal"),
     (["camera.x0_px=900"], r"principal point \(900, -10\) px: at most a quarter"),
 ]
 

@@ -207,7 +207,7 @@ def test_reprojection_over_its_prediction(reprojected):
     assert [one.value for one in assumed.rms_px] == pytest.approx([0.6 * rms, 0.8 * rms])
     assert np.hypot(*assumed.expected_axis_px) == pytest.approx(assumed.expected_px.value, rel=0.02)
     assert (assumed.largest_px, assumed.inside) == (pytest.approx(0.05), 0.5)
-    assert (assumed.pixel_um, other.pixel_um, other.stars) == (CONFIG.camera.pixel_um, 6.0, 20)
+    assert (assumed.pixel_um, other.pixel_um, other.stars) == (CONFIG.camera.pixel_pitch_um, 6.0, 20)
     assert assumed.stars == pytest.approx(len(sky_of(CONFIG, table2_point(CONFIG), 0).stars.frame) / 12)
     published = np.hypot(0.0132, 0.0123)
     assert assumed.published_length_px == pytest.approx(published)

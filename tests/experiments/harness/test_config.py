@@ -9,6 +9,7 @@ from refusals import refuses
 from experiments.harness.config import ExperimentConfig, load_config
 from optics.errors import ConfigError
 from optics.settings import StrictModel
+from optics.validate import full_key
 
 
 class Lens(StrictModel):
@@ -121,6 +122,8 @@ def test_bad_setting_is_one_line(setting, expected):
         ("frames = 3\n", ["seed=2", "frames=0", "label=a"], "--set frames=0: frames = 0"),
         ("[lens]\ntilt_deg = [1.0, 2.0]\ndefocus_mm = 3\n", ["frames=2"], "run.toml: unknown key 'lens.defocus_mm'"),
         ("frames = 3\n", ["filters.1.naem=b", "seed=2"], "--set filters.1.naem=b: unknown key 'filters.1.naem'"),
+        ("frames = 3\n", ["defocus_um=a", "seed=2"], "--set defocus_um=a: lens.defocus_um = 'a'"),
+        ("defocus_um = 'a'\n", ["seed=2"], "run.toml: lens.defocus_um = 'a'"),
     ],
 )
 def test_the_source_of_a_wrong_value_is_named_alone(tmp_path, content, settings, source):
@@ -146,7 +149,28 @@ def test_settings_that_are_valid_only_together(tmp_path):
     (tmp_path / "half.toml").write_text("first_nm = 600")
     assert load_config(Range, settings=["first_nm=600", "last_nm=700"]).last_nm == 700.0
     assert load_config(Range, file=tmp_path / "half.toml", settings=["last_nm=700"]).last_nm == 700.0
-    refuses(ConfigError, r"600\.0 nm is not below", load_config, Range, settings=["first_nm=600"])
+    message = refuses(ConfigError, ".", load_config, Range, settings=["first_nm=600", "seed=2"], seed=3)
+    assert message == "--set first_nm=600: first_nm = 600.0 nm is not below last_nm = 500.0 nm"
+    message = refuses(ConfigError, ".", load_config, Range, file=tmp_path / "half.toml", settings=["last_nm=3"], seed=3)
+    assert message.removeprefix(f"{tmp_path}/").startswith("half.toml, --set last_nm=3: first_nm = 600.0 nm")
+
+
+def test_a_key_has_one_spelling_and_one_short_form_in_all_layers(tmp_path):
+    """Expected behaviour: the last words of a key mean the same to ``--set``, to files and to the resolver."""
+    for text in ("tilt_deg = [1, 2]", "lens.tilt_deg = [1, 2]", "[lens]\ntilt_deg = [1, 2]"):
+        (tmp_path / "run.toml").write_text(text)
+        assert load_config(Config, file=tmp_path / "run.toml").lens == Lens(defocus_um=12.0, tilt_deg=(1.0, 2.0))
+    assert load_config(Config, settings=["tilt_deg=[1, 2]", "tilt_deg.0=3"]).lens.tilt_deg == (3.0, 2.0)
+    assert [full_key(Config, name) for name in ("label", "defocus_um", "tilt_deg.0", "lens.x", "kin")] == [
+        "label", "lens.defocus_um", "lens.tilt_deg.0", "lens.x", "kin",
+    ]  # fmt: skip
+    (tmp_path / "run.toml").write_text("kind = 'disc'")
+    for layer in ({"settings": ["kind=disc"]}, {"file": tmp_path / "run.toml"}):
+        assert "key 'kind' is ambiguous: mask.kind or move.kind" in refuses(
+            ConfigError, ".", load_config, Config, **layer
+        )
+    (tmp_path / "run.toml").write_text("defocus_um = 1\nlens.defocus_um = 2")
+    refuses(ConfigError, "lens.defocus_um is stated twice", load_config, Config, file=tmp_path / "run.toml")
 
 
 @pytest.mark.parametrize("settings", [[], ["lens.defocus_um=1", "frames=4"]], ids=["alone", "replaced by --set"])

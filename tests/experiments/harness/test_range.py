@@ -5,19 +5,18 @@ import pytest
 from refusals import refuses
 
 from experiments.budget.settings import Config
-from experiments.harness.range import check_range, leaf_keys, logarithmic, parse_sweep, value_at, with_value
+from experiments.harness.range import logarithmic, parse_sweep, value_at, with_value
 from optics.errors import ConfigError
 
 
 def test_sweep_text():
-    keys = leaf_keys(Config)
-    sweep = parse_sweep("defocus_mm=-0.2:0.2:9", keys)
+    sweep = parse_sweep("defocus_mm=-0.2:0.2:9", Config)
     assert sweep.key == "instrument.defocus_mm"
     np.testing.assert_allclose(sweep.values, np.arange(-4, 5) * 0.05, atol=1e-15)
     assert sweep.values[4] == 0.0
-    assert parse_sweep("frames=10:20:3", keys).values == (10, 15, 20)
-    assert parse_sweep("source.signal_e=1000:1e5:5:log", keys).values == (1e3, 3162.27766017, 1e4, 31622.7766017, 1e5)
-    assert parse_sweep("frames=40,10, 20", keys).values == (10, 20, 40)
+    assert parse_sweep("frames=10:20:3", Config).values == (10, 15, 20)
+    assert parse_sweep("source.signal_e=1000:1e5:5:log", Config).values == (1e3, 3162.27766017, 1e4, 31622.7766017, 1e5)
+    assert parse_sweep("frames=40,10, 20", Config).values == (10, 20, 40)
     assert [logarithmic(v) for v in ((1, 2, 4, 8), (1, 2, 3), (1, 2, 5, 10), (-1, 1, 2), (8.0, 4.0, 2.0))] == [
         True, False, True, False, True,
     ]  # fmt: skip
@@ -32,7 +31,7 @@ def test_sweep_text():
         ("defocus_mm=0.1:0.2:9:ln", "KEY=LOW:HIGH:POINTS:log"),
         ("defocus_mm=0.1,0.1", "1 different values"),
         ("instrument.defocs_mm=-0.2:0.2:9", "did you mean instrument.defocus_mm"),
-        ("edge_nm=10:20:3", "passband.edge_nm and filters.edge_nm"),
+        ("edge_nm=10:20:3", "passband.edge_nm or filters.edge_nm"),
         ("defocus_mm=0.1:0.1:3", "empty"),
         ("defocus_mm=nan:0.1:3", "finite"),
         ("defocus_mm=0:inf:3", "finite"),
@@ -44,7 +43,9 @@ def test_sweep_text():
         ("defocus_mm=-30:30:3", "at least -10"),
         ("prnu=0:0.9:3", "at most 0.5"),
         ("frames=10.1:10.3:5", "whole numbers"),
+        ("lens=1:2:3", "instrument.lens cannot be swept"),
+        ("attitude.stars=2:4:3", "does not depend on attitude.stars"),
     ],
 )
 def test_sweep_refused(text, words):
-    refuses(ConfigError, words, lambda: check_range(Config, parse_sweep(text, leaf_keys(Config))))
+    assert refuses(ConfigError, words, parse_sweep, text, Config, ["attitude"]).startswith(f"--sweep {text}: ")
