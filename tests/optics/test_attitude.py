@@ -19,5 +19,5 @@ def test_roll_is_the_position_angle_of_up(ra, dec, roll):
     here, there = SkyCoord(ra, dec, unit="deg"), SkyCoord(*up, representation_type="cartesian")
     angle = here.position_angle(SkyCoord(there.spherical.lon, there.spherical.lat)).deg
     assert (angle - roll + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=0.01)
-    left = attitude_from_angles(ra, 0.0, 0.0).inv().apply([-1e-3, 0.0, 1.0])
-    assert SkyCoord(*left, representation_type="cartesian").spherical.lon.deg > ra  # east is left
+    east = attitude_from_angles(ra, 0.0, 0.0).inv().apply([-1e-3, 0.0, 1.0])
+    assert SkyCoord(*east, representation_type="cartesian").spherical.lon.deg > ra  # east is left

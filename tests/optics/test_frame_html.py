@@ -43,8 +43,8 @@ def decoded(page):
 
 
 def marks(n=3, **settings):
-    place = np.arange(n, dtype=float)
-    return Marks(**{"name": "stars", "x_px": place, "y_px": 2 * place, **settings})
+    x_px = np.arange(n, dtype=float)
+    return Marks(**{"name": "stars", "x_px": x_px, "y_px": 2 * x_px, **settings})
 
 
 @pytest.mark.parametrize(
@@ -100,9 +100,9 @@ def test_text_of_others_stays_text():
 
 def test_marks_without_a_place_are_left_out_and_numbers_that_are_none_are_null():
     layer = marks(x_px=np.array([1.0, np.nan, 3.0]), columns={"flux [e-]": np.array([1.5, 2.0, np.inf])})
-    (told,) = decoded(frame_page(np.eye(4), [layer]))[1]["layers"]
-    assert (told["x"], told["y"]) == ([1.0, 3.0], [0.0, 4.0])
-    assert told["columns"] == [{"name": "flux", "unit": "e-", "values": [1.5, None]}]
+    (layer_data,) = decoded(frame_page(np.eye(4), [layer]))[1]["layers"]
+    assert (layer_data["x"], layer_data["y"]) == ([1.0, 3.0], [0.0, 4.0])
+    assert layer_data["columns"] == [{"name": "flux", "unit": "e-", "values": [1.5, None]}]
 
 
 def test_errors_are_those_to_the_nearest_reference():

@@ -65,9 +65,9 @@ def test_an_aperture_that_is_left_out_is_as_wide_as_the_light_of_the_fields(tmp_
     edges = [5.0, float(np.hypot(5.0 * np.cos(azimuth), height).max())]
     assert file.lens.surfaces[1].semi_diameter_mm == pytest.approx(1.001 * max(edges), rel=1e-3)
     assert file.tables["surface"][1]["semi_diameter_mm"] == file.lens.surfaces[1].semi_diameter_mm
-    told = [line for line in file.report.inexact if line.command == "clear apertures"]
-    assert len(told) == 1
-    assert "2: " in told[0].message
+    notes = [line for line in file.report.inexact if line.command == "clear apertures"]
+    assert len(notes) == 1
+    assert "2: " in notes[0].message
     light = vignetting(file.lens, [0.0, 10.0], [0.0, 0.0], 587.6)
     assert light[1] == pytest.approx(1.0, abs=1e-9) if not squeeze else light[1] < 0.95
     assert np.isinf(read_lens_file(written(tmp_path), strict=True).lens.surfaces[1].semi_diameter_mm)
@@ -95,9 +95,9 @@ def test_rims_that_would_cross_are_closed_to_what_light_needs(tmp_path):
     file = read_lens_file(path)
     closed = [s.semi_diameter_mm for s in file.lens.surfaces[2:4]]
     assert max(closed) < 9.0
-    said = [line for line in file.report.inexact if line.command == "clear aperture"]
-    assert [line.surface for line in said] == [3, 4]
-    assert all("20 mm, where it would cross" in line.message and line.line > 0 for line in said)
+    notes = [line for line in file.report.inexact if line.command == "clear aperture"]
+    assert [line.surface for line in notes] == [3, 4]
+    assert all("20 mm, where it would cross" in line.message and line.line > 0 for line in notes)
     refuses(ConfigError, "cross", read_lens_file, path, strict=True)
     beyond = read_lens_file(written(tmp_path, front=1 / 15, wide='  DIAM 16 1 0 0 1 ""'))
     assert beyond.lens.surfaces[2].semi_diameter_mm < 9.0

@@ -115,6 +115,6 @@ def test_first_order_and_real_rays_of_the_hubble_telescope(tmp_path):
                                       wavelength_nm=550.0))  # fmt: skip
         along = float(ray.x * ray.dx + ray.y * ray.dy - radius * ray.dz)
         height2 = float(ray.x**2 + ray.y**2)
-        way = -height2 / (along + np.copysign(np.sqrt(along**2 - height2), along))
-        found = [ray.x + way * ray.dx, ray.y + way * ray.dy, ray.dx, ray.dy]
-        assert [float(v) for v in found] == pytest.approx(printed, rel=0, abs=1e-9)
+        path = -height2 / (along + np.copysign(np.sqrt(along**2 - height2), along))
+        traced = [ray.x + path * ray.dx, ray.y + path * ray.dy, ray.dx, ray.dy]
+        assert [float(v) for v in traced] == pytest.approx(printed, rel=0, abs=1e-9)

@@ -131,9 +131,9 @@ def test_change_with_temperature_is_that_of_prisms_in_a_cryostat(
     glass, waves = get_glass(name), np.linspace(420.0, 1000.0, 8)
 
     def measured(celsius: float) -> np.ndarray:
-        found = [np.polynomial.polynomial.polyval(celsius + 273.15, row) for row in table]
+        terms = [np.polynomial.polynomial.polyval(celsius + 273.15, row) for row in table]
         l2 = (waves * 1e-3) ** 2
-        return np.asarray(np.sqrt(1.0 + sum(s * l2 / (l2 - r * r) for s, r in zip(found[:3], found[3:], strict=True))))
+        return np.asarray(np.sqrt(1.0 + sum(s * l2 / (l2 - r * r) for s, r in zip(terms[:3], terms[3:], strict=True))))
 
     there = glass.reference_temperature_c
     for celsius in (-100.0, -60.0, -20.0, 0.0):

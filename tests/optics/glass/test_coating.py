@@ -118,6 +118,6 @@ def test_zemax_coatings_are_taken_or_named(tmp_path) -> None:  # type: ignore[no
     index = float(get_glass("N-BK7").index(600.0))
     expected = 0.98 * (1.0 - float(QuarterWave(design_wavelength_nm=600.0).reflectance(600.0, index)))
     assert float(lens_transmission(read.lens, 600.0, absorption=False)) == pytest.approx(expected, rel=1e-12)
-    said = {entry.command: entry.message for entry in read.report.lines if entry.command.startswith("COAT")}
-    assert "quarter wave of MgF2 at 600 nm" in said["COAT AR"]
-    assert "'HEAR1' is defined in a file of the program" in said["COAT HEAR1"]
+    messages = {entry.command: entry.message for entry in read.report.lines if entry.command.startswith("COAT")}
+    assert "quarter wave of MgF2 at 600 nm" in messages["COAT AR"]
+    assert "'HEAR1' is defined in a file of the program" in messages["COAT HEAR1"]

@@ -68,11 +68,11 @@ def test_every_printed_temperature_coefficient_of_schott() -> None:
         if row[0] not in list_glasses("SCHOTT"):
             continue
         glass = get_glass(row[0])
-        seen = lines >= glass.range_nm[0]
+        in_range = lines >= glass.range_nm[0]
         for column, start in ((18, -40.0), (24, 20.0), (30, 60.0)):
             for offset, index in ((0, glass.relative_index), (3, glass.absolute_index)):
-                ours = index(lines[seen], temperature_c=start + 20.0) - index(lines[seen], temperature_c=start)
-                printed = np.array([number(cell) for cell in row[column + offset : column + offset + 3]])[seen]
+                ours = index(lines[in_range], temperature_c=start + 20.0) - index(lines[in_range], temperature_c=start)
+                printed = np.array([number(cell) for cell in row[column + offset : column + offset + 3]])[in_range]
                 misses.append(np.abs(ours / 20.0 * 1e6 - printed))
     missed = np.concatenate(misses)
     missed = missed[np.isfinite(missed)]

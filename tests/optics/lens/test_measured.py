@@ -66,11 +66,11 @@ def test_spot_moments_are_those_of_the_mixture():
     lens = measured()
     system = measured_lens(lens)
     spot = spot_moments(system, [8.0], [-3.0], [650.0])
-    place = lens.position_mm(np.array([np.tan(np.radians(8.0)), np.tan(np.radians(-3.0)), 1.0]), 650.0)
-    mean, covariance = lens.psf.moments(place[0], place[1], np.array(650.0))
-    np.testing.assert_allclose([spot.x_mm[0, 0], -spot.y_mm[0, 0]], place + mean, atol=1e-13)
-    found = [spot.xx_mm2[0, 0], spot.yy_mm2[0, 0], -spot.xy_mm2[0, 0]]
-    np.testing.assert_allclose(found, covariance, rtol=1e-9)
+    position = lens.position_mm(np.array([np.tan(np.radians(8.0)), np.tan(np.radians(-3.0)), 1.0]), 650.0)
+    mean, covariance = lens.psf.moments(position[0], position[1], np.array(650.0))
+    np.testing.assert_allclose([spot.x_mm[0, 0], -spot.y_mm[0, 0]], position + mean, atol=1e-13)
+    moments = [spot.xx_mm2[0, 0], spot.yy_mm2[0, 0], -spot.xy_mm2[0, 0]]
+    np.testing.assert_allclose(moments, covariance, rtol=1e-9)
 
 
 def test_vignetting_is_all_causes_together():

@@ -33,8 +33,8 @@ def test_a_root_is_refined_from_that_of_an_approximation():
         calls.append(x)
         return 1.01 * (x - 1.0) + 0.01 * (x - 1.0) ** 2
 
-    found = refined_movement(exact, lambda x: x - 1.02, 1.02, 1e-9)
-    assert found == pytest.approx(1.0, abs=1e-9)
+    root = refined_movement(exact, lambda x: x - 1.02, 1.02, 1e-9)
+    assert root == pytest.approx(1.0, abs=1e-9)
     assert len(calls) <= 6
 
 
