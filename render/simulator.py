@@ -444,16 +444,11 @@ class SkySimulator:
         frame : int
             Number of the frame: another number, other noise.
         layers : bool
-            Whether the light of every source is kept apart, too (`Observation.layers`).
+            Whether the light of every source is also returned separately (`Observation.layers`).
         before : SkyLight, optional
             Light of the frame before (`Observation.light`), for a detector with lag.
         **exposure
             Any other parameter of `expected`: ``rate_deg_per_s=``, ``start_s=``, ``velocity_km_per_s=`` ...
-
-        Raises
-        ------
-        StarbenchError
-            As `expected`.
         """
         light = self.expected(attitude, **exposure)
         return Observation(

@@ -45,62 +45,43 @@ class Detector:
     ----------
     name, source : str
         What it is and where its numbers come from.
-    chip_width_px, chip_height_px : int
-        Size of one chip [px].
-    chips : int
-        Chips side by side along a row (ACC18: 2).
-    gap_px : int
-        Dead columns between neighbouring chips: whole pixels of insensitive mosaic, part of the image, flagged.
-    pixel_pitch_mm : float
-        Pixel pitch [mm].
-    diffusion_sigma_mm : float
-        Charge diffusion as the standard deviation of a Gaussian [mm].
+    chip_width_px, chip_height_px, chips, gap_px : int
+        Size of one chip [px]; chips side by side along a row (ACC18: 2) and dead columns between them: whole pixels of
+        insensitive mosaic, part of the image, flagged.
+    pixel_pitch_mm, diffusion_sigma_mm : float
+        Pixel pitch; charge diffusion as the standard deviation of a Gaussian [mm].
     quantum_efficiency : Response
         Interacting quantum efficiency over wavelength, fill factor included.
     prnu : float
         PRNU_1288: spatial standard deviation of the response over its mean.
-    dark_current_e_per_s : float
-        Mean dark current of the normal pixels at ``dark_reference_c`` [e-/s].
+    dark_current_e_per_s, dark_spread_e_per_s : float
+        Mean dark current of the normal pixels and its spatial standard deviation (log-normal) at the reference [e-/s].
     dark_reference_c, dark_doubling_c : float
         Dark current doubles with every ``dark_doubling_c`` kelvin above the reference [C].
-    dark_spread_e_per_s : float
-        Spatial standard deviation of the dark current at the reference [e-/s]; log-normal over the pixels.
-    hot_fraction : float
-        Fraction of hot pixels.
-    hot_dark_e_per_s : float
-        Mean of the exponentially distributed additional dark current of a hot pixel, at the reference [e-/s].
+    hot_fraction, hot_dark_e_per_s : float
+        Fraction of hot pixels, and the mean of their exponentially distributed additional dark current [e-/s].
     dead_fraction : float
         Fraction of pixels without response.
-    full_well_e : float
-        Saturation capacity [e-].
+    full_well_e, blooming : float
+        Saturation capacity [e-]; fraction of the charge above it that blooms along its column, 0: all is drained.
     crosstalk_horizontal, crosstalk_vertical, crosstalk_diagonal : float
         Fraction of a pixel's charge that appears in *each* left/right, upper/lower, diagonal neighbour.
     read_noise_e, read_noise_spread : float
         Median over the pixels of the temporal dark noise [e-]; standard deviation of its natural logarithm.
-    gain_dn_per_e : float
-        System gain K at small signals [DN/e-].
-    nonlinearity : tuple of float
-        c_1, c_2 ... in DN = K x (1 + sum_i c_i (x / full_well)^i), x in electrons; DN must rise up to the full well.
-    offset_dn : float
-        Mean offset [DN].
-    dsnu_e, column_pattern_e : float
-        Spatial standard deviation of the offset per pixel (DSNU_1288 at zero exposure) and per column [e-].
-    adc_bits : int
-        Resolution of the converter.
-    sensor_seed : int
-        Seed of the individual detector: hot pixels and fixed patterns.
-    blooming : float
-        Fraction of the charge above the full well that blooms along its column; 0: all of it is drained
-        (anti-blooming).
+    gain_dn_per_e, nonlinearity : float, tuple of float
+        System gain K at small signals [DN/e-]; c_1, c_2 ... in DN = K x (1 + sum_i c_i (x / full_well)^i), x in
+        electrons, which must rise up to the full well.
+    offset_dn, dsnu_e, column_pattern_e : float
+        Mean offset [DN]; its spatial standard deviation per pixel (DSNU_1288 at zero exposure) and per column [e-].
+    adc_bits, sensor_seed : int
+        Resolution of the converter; seed of the individual detector: hot pixels and fixed patterns.
     lag : float
         Fraction of a frame's charge that is read with the next frame.
     transfer_line_us : float
         Time per row of a frame transfer under light [us]; 0: a shutter, or a detector that does not shift its image.
-    damage_centres_per_px, damage_dark_e_per_s : float
+    damage_centres_per_px, damage_dark_e_per_s, damage_known_e_per_s : float
         Radiation damage (`render.detector.displacement_damage.aged`): mean number of centres per pixel, mean of the
-        exponentially distributed dark current of each at the reference [e-/s].
-    damage_known_e_per_s : float
-        Dark current by centres above which a pixel is in the map of defects [e-/s].
+        exponentially distributed dark current of each at the reference, and limit of the map of defects [e-/s].
     dark_curve_c, dark_curve_e_per_s : tuple of float
         Tabulated mean dark current over temperature, in place of ``dark_doubling_c``.
     assumed, from_base, from_default : tuple of str
@@ -109,8 +90,8 @@ class Detector:
     Raises
     ------
     DomainError
-        On a value that is no number or outside its range, a crosstalk that leaves a pixel less than half of its
-        charge, or a non-linearity that folds back.
+        On a value that is no number or outside its range, a crosstalk that leaves a pixel less than half of its charge,
+        or a non-linearity that folds back.
     """
 
     name: str

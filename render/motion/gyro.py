@@ -157,9 +157,9 @@ def simulate_gyro(
     end_s: float | None = None,
 ) -> GyroRecord:
     """Mean rates over the steps of a gyro on a moving body."""
-    truth = true_rates(trajectory, gyro, start_s=start_s, end_s=end_s)
-    noise = _noise(gyro, len(truth.rate_rad_per_s), streams.generator("gyro", run))
-    return GyroRecord(time_s=truth.time_s, rate_rad_per_s=truth.rate_rad_per_s + noise)
+    runs = range(run, run + 1)
+    time_s, rates = simulate_gyro_runs(trajectory, gyro, streams, runs=runs, start_s=start_s, end_s=end_s)
+    return GyroRecord(time_s=time_s, rate_rad_per_s=rates[0])
 
 
 def simulate_gyro_runs(
@@ -173,10 +173,9 @@ def simulate_gyro_runs(
 ) -> tuple[FloatArray, FloatArray]:
     """Many runs of one motion at once: rates that differ by their noise only."""
     # -> (n + 1,), (r, n, 3)
-    chosen = range(runs) if isinstance(runs, int) else runs
     truth = true_rates(trajectory, gyro, start_s=start_s, end_s=end_s)
     steps = len(truth.rate_rad_per_s)
-    rates = np.empty((len(chosen), steps, 3))
-    for row, run in enumerate(chosen):
-        np.add(truth.rate_rad_per_s, _noise(gyro, steps, streams.generator("gyro", run)), out=rates[row])
-    return truth.time_s, rates
+    noise = [
+        _noise(gyro, steps, streams.generator("gyro", run)) for run in (range(runs) if isinstance(runs, int) else runs)
+    ]
+    return truth.time_s, truth.rate_rad_per_s + np.reshape(noise, (len(noise), steps, 3))

@@ -128,8 +128,8 @@ def load_sky(
         Faintest star, in the magnitudes of the catalogue. A star tracker of 13 mm aperture centroids stars to about 7
         in 0.2 s.
     epoch_year : float
-        Julian year of the exposures. Stars move to it; those of the built-in sky that Hipparcos-2 does not know
-        (1.9 % to G = 6, 7 % to 7, 22 % to 8, half to 9) have no proper motion and stay at 2016.0, see `Sky.unmoved`.
+        Julian year of the exposures. Stars of the built-in sky that Hipparcos-2 does not know (1.9 % to G = 6, 7 % to
+        7, 22 % to 8, half to 9) have no proper motion and stay at 2016.0, see `Sky.unmoved`.
     observer : Observer or "earth", optional
         Adds parallax, deflection by the Sun and aberration (20 arcsec); left out: seen from the barycentre.
     temperature : {"colour", "effective"}
@@ -142,10 +142,8 @@ def load_sky(
 
     Raises
     ------
-    ConfigError
-        The built-in catalogue is missing.
-    DomainError
-        No star is bright enough; epoch out of range.
+    ConfigError, DomainError
+        The built-in catalogue is missing; no star is bright enough; epoch out of range.
     """
     stars_of_sky = built_in_catalogue(epoch_year != EPOCH_YEAR) if catalogue is None else catalogue
     bright = np.flatnonzero(stars_of_sky.magnitude <= faintest_mag)
