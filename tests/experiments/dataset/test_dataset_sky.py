@@ -129,8 +129,8 @@ def test_labels_of_hot_pixels_and_cosmic_rays(engine):
     scene = build_scene(config)
     labels, hits = LabelMaker(scene).labels(0), scene.simulator.hits(0)
     rays = [label for label in labels if label.kind == "cosmic_ray"]
-    assert sum(label.pixels.shape[1] for label in rays) == np.count_nonzero(hits.struck)
-    strong = hits.charge_e[hits.struck[hits.row, hits.column]]
+    assert sum(label.pixels.shape[1] for label in rays) == np.count_nonzero(hits.hit_mask)
+    strong = hits.charge_e[hits.hit_mask[hits.row, hits.column]]
     assert sum(label.electrons for label in rays) == pytest.approx(strong.sum())
     maps, hot = sensor_maps(scene.instrument.detector), [label for label in labels if label.kind == "hot_pixel"]
     assert 0 < len(hot) < maps.defect.sum()
