@@ -9,8 +9,9 @@ second moment, measured in the same way.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from scipy.ndimage import uniform_filter1d
 
 from calib.flags import StarFlag
 from calib.measure.centroiding.gaussian import draw_gaussian
+from calib.measure.centroiding.options import check_options
 from calib.measure.stamps import noiseless_stamps
 from calib.records import NoiseModel, Stamps, StarTable, X, Y
 from optics.arrays import FloatArray
@@ -28,22 +30,29 @@ FLAGGED_FRACTION = 0.5
 """Fraction of the stated sigma above which the error is flagged: the true sigma is then more than an eighth larger."""
 
 
-class MomentCentroider(Protocol):
-    """A centroider whose error depends on the pixel phase; a frozen dataclass."""
-
-    def measure_by(self, stamps: Stamps, noise: NoiseModel, table: PhaseTable | None) -> StarTable:
-        """The stars with width and error by pixel phase from a table; without one, ``width_px`` is the root of the
-        second moment that the centroider measures."""
-
-    def __hash__(self) -> int: ...
-
-
 class PhaseTable(NamedTuple):
     """By second moment (k,) [px^2] as a centroider measures it: width of the star, RMS error per axis (k,) [px]."""
 
     moment_px2: FloatArray
     sigma_px: FloatArray
     error_px: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MomentCentroider:
+    """A centroider without a PSF, whose error depends on the pixel phase."""
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+    def measure(self, stamps: Stamps, noise: NoiseModel) -> StarTable:
+        """Stars with flux of the window, width, error by pixel phase, and a flag where it exceeds the noise."""
+        return self.measure_by(stamps, noise, phase_table(self, stamps.window)) if len(stamps) else StarTable.empty()
+
+    def measure_by(self, stamps: Stamps, noise: NoiseModel, table: PhaseTable | None) -> StarTable:
+        """The stars with width and error by pixel phase from a table; without one, ``width_px`` is the root of the
+        second moment that the centroider measures."""
+        raise NotImplementedError
 
 
 @lru_cache(maxsize=64)
@@ -69,13 +78,6 @@ def phase_table(centroider: MomentCentroider, shape: tuple[int, int]) -> PhaseTa
         for values in (moment, width, variance)
     ]
     return PhaseTable(mean[0], mean[1], np.sqrt(np.maximum(mean[2], 0.0)))
-
-
-def measure_with_phase(centroider: MomentCentroider, stamps: Stamps, noise: NoiseModel) -> StarTable:
-    """Measured stars with their width, the error by pixel phase, and the flag where it matters against the noise."""
-    if not len(stamps):
-        return StarTable.empty()
-    return centroider.measure_by(stamps, noise, phase_table(centroider, stamps.window))
 
 
 def phase_columns(

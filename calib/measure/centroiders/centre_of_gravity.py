@@ -7,15 +7,15 @@ from typing import ClassVar
 
 import numpy as np
 
-from calib.measure.centroid_error.s_curve import PhaseTable, measure_with_phase
+from calib.measure.centroid_error.s_curve import MomentCentroider, PhaseTable
 from calib.measure.centroiding.moments import gravity_table, light_above_background
-from calib.measure.centroiding.options import check_options, option
+from calib.measure.centroiding.options import option
 from calib.records import NoiseModel, Stamps, StarTable
 from optics.arrays import FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CentreOfGravity:
+class CentreOfGravity(MomentCentroider):
     """Centre of gravity ``x = sum(s x) / sum(s)`` of the light s above the background."""
 
     name: ClassVar[str] = "cog"
@@ -25,15 +25,7 @@ class CentreOfGravity:
     # The sums run over ``2 half_width_px + 1`` rows and columns about the pixel nearest the start; None: all of them
     half_width_px: int | None = option(3, at_least=1, unit="px")
 
-    def __post_init__(self) -> None:
-        check_options(self)
-
-    def measure(self, stamps: Stamps, noise: NoiseModel) -> StarTable:
-        """Position, flux of the window and covariance of every stamp."""
-        return measure_with_phase(self, stamps, noise)
-
     def measure_by(self, stamps: Stamps, noise: NoiseModel, table: PhaseTable | None) -> StarTable:
-        """The same, width and error by pixel phase from a table (`calib.measure.centroid_error.s_curve`)."""
         light, used = light_above_background(stamps, self.half_width_px)
         return gravity_table(stamps, noise, table, weight=light, light=light, used=used)
 

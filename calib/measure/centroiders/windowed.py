@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.flags import StarFlag
-from calib.measure.centroid_error.s_curve import PhaseTable, measure_with_phase
+from calib.measure.centroid_error.s_curve import MomentCentroider, PhaseTable
 from calib.measure.centroiding.moments import (
     FWHM_PER_SIGMA,
     Moments,
@@ -19,7 +19,7 @@ from calib.measure.centroiding.moments import (
     pixel_variance,
     powers,
 )
-from calib.measure.centroiding.options import check_options, option
+from calib.measure.centroiding.options import option
 from calib.records import FLUX, NoiseModel, Stamps, StarTable
 from optics.arrays import FloatArray
 
@@ -29,7 +29,7 @@ MIN_SIGMA_PX = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WindowedCentroid:
+class WindowedCentroid(MomentCentroider):
     """Centroid under a Gaussian window that follows the star, SExtractor's XWIN_IMAGE and YWIN_IMAGE.
 
     ``x <- x + 2 sum(w s (x_i - x)) / sum(w s)`` until the step is small (Bertin, SExtractor manual, "Windowed
@@ -46,15 +46,8 @@ class WindowedCentroid:
     tolerance_px: float = option(1e-6, above=0, unit="px")  # Last step; SExtractor stops at 2e-4
     max_iterations: int = option(40, at_least=1)  # Most steps taken
 
-    def __post_init__(self) -> None:
-        check_options(self)
-
-    def measure(self, stamps: Stamps, noise: NoiseModel) -> StarTable:
-        """Position, flux of the stamp and covariance of every stamp."""
-        return measure_with_phase(self, stamps, noise)
-
     def measure_by(self, stamps: Stamps, noise: NoiseModel, table: PhaseTable | None) -> StarTable:
-        """The same, width and error by pixel phase from a table.
+        """See `MomentCentroider`.
 
         A Gaussian of variance s^2 under a window of variance w^2 has the moment m with 1/m = 1/s^2 + 1/w^2.
         """
