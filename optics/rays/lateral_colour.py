@@ -1,4 +1,4 @@
-"""Lateral colour: shift of the image with wavelength, of the chief ray or of the whole bundle."""
+"""Lateral colour: shift of the image with wavelength, of the chief ray or of the entire bundle."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """A measured wavefront error, applied to a lens as the figure error of a surface next to its stop.
 
-Interferometers measure the error of a whole lens over its pupil. On the surface next to the stop it acts on all fields
+Interferometers measure the error of a lens over its pupil. On the surface next to the stop it acts on all fields
 and wavelengths nearly alike, bends rays and delays waves consistently (the centroid of the light stays the mean of the
 rays), and moves with its element. The height for a path difference follows from the path change of every ray per small
 constant height, which by Fermat's principle is independent of the bending of rays behind the surface.

@@ -1,7 +1,7 @@
 """Point-source transmittance (PST) of a sensor by cause: ghosts and scatter of its lens, walls and edges of its baffle.
 
-A baffle that leaves a part of the entrance in the light passes that part of what the bare lens scatters, and sends its
-own light to the lens, weighted with the lens's PST at the angle it comes from.
+A baffle that leaves a fraction of the entrance in the light passes that fraction of the scatter of the bare lens, and
+scatters light to the lens, weighted with the PST of the lens at its angle of arrival.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ class SensorTransmittance:
     """PST of lens and baffle, or a table of it."""
 
     pst: PointSourceTransmittance
-    direct: FloatArray  # (z, a) Part of the entrance that the source shines on
+    direct: FloatArray  # (z, a) Fraction of the entrance in the light of the source
     lens: LensTransmittance | None = None
     scene: BaffleScene | None = None
     rays: int = 0
@@ -198,7 +198,7 @@ def sensor_transmittance(
     error : float
         Relative standard error of walls and vanes.
     source : str
-        Kept in the table.
+        Origin, stated in the table.
     advance : callable
         Called after each direction.
     """

@@ -24,13 +24,12 @@ from render.engine import Engine
 class BenchCamera:
     """A pinhole camera."""
 
-    # width_px, height_px: Size of the image
     width_px: int
     height_px: int
     pitch_mm: float  # Pixel pitch, and its image on the screen at the centre of the field
     distance_mm: float  # From the middle of the screen
     angle_deg: float  # Between the optical axis and the normal of the screen; the camera stands towards +X
-    # (2,) Point (x, y) of the screen that the optical axis meets. A camera whose mount gives way aims elsewhere
+    # (2,) Point (x, y) of the screen that the optical axis meets. The aim moves with a yielding mount
     aim_mm: FloatArray
 
     def __post_init__(self) -> None:
@@ -86,6 +85,8 @@ class BenchCamera:
         target = self.position_mm + self.axes[2] * self.distance_mm
         pose = mi.ScalarTransform4f().look_at(origin=self.position_mm, target=target, up=up)
         width = self.width_px * self.pitch_mm
+        film = {"type": "hdrfilm", "width": self.width_px, "height": self.height_px, "pixel_format": "luminance"}
+        film["rfilter"] = {"type": "box"}
         return mi.load_dict(
             {
                 "type": "perspective",
@@ -94,13 +95,7 @@ class BenchCamera:
                 "fov_axis": "x",
                 "near_clip": 1.0,
                 "far_clip": 1e5,
-                "film": {
-                    "type": "hdrfilm",
-                    "width": self.width_px,
-                    "height": self.height_px,
-                    "pixel_format": "luminance",
-                    "rfilter": {"type": "box"},
-                },
+                "film": film,
             }
         )
 
@@ -123,5 +118,5 @@ def _homography(
 def _projected(matrix: NDArray[Any], points: ArrayLike) -> FloatArray:
     """Homography of points, element by element: small matrix products of many points are slow on busy machines."""
     x, y = np.asarray(points, np.float64).T
-    column, row, depth = (one[0] * x + one[1] * y + one[2] for one in np.asarray(matrix, np.float64))
+    column, row, depth = (h[0] * x + h[1] * y + h[2] for h in np.asarray(matrix, np.float64))
     return np.column_stack([column / depth, row / depth])

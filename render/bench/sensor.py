@@ -33,13 +33,12 @@ PLATE_MM = 12.0
 class MaskSensor:
     """A mask over a detector."""
 
-    # width_px, height_px: Size of the detector
     width_px: int
     height_px: int
-    pitch_mm: float  # Its pixel pitch
+    pitch_mm: float  # Pixel pitch of the detector
     hole_mm: float  # Diameter of the hole
     gap_mm: float  # Distance of the mask from the detector
-    offset_px: FloatArray  # (2,) Where the normal through the hole meets the detector, from its centre: (x0, y0)
+    offset_px: FloatArray  # (2,) Foot of the normal through the hole, from the centre of the detector: (x0, y0)
 
     def __post_init__(self) -> None:
         freeze(self, "offset_px", shape=(2,))
@@ -121,7 +120,7 @@ def _rays(
     sensor: MaskSensor,
     direction: FloatArray,
     which: Any,
-    place: tuple[Any, Any],
+    position: tuple[Any, Any],
     slope: tuple[Any, Any],
     half_angle_rad: float,
 ) -> Any:
@@ -139,5 +138,5 @@ def _rays(
 
     light = dr.normalize(gathered(-direction) + slope[0] * gathered(spread * u) + slope[1] * gathered(spread * v))
     radius = dr.opaque(mi.Float, OVERSCAN * sensor.hole_mm / 2)
-    through = mi.Point3f(place[0] * radius, place[1] * radius, 0.0)
-    return mi.Ray3f(through - light * 0.5, light)
+    point = mi.Point3f(position[0] * radius, position[1] * radius, 0.0)
+    return mi.Ray3f(point - light * 0.5, light)
