@@ -44,32 +44,16 @@ Psfs = tuple[EffectivePsf, ...]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameNoise:
-    """Noise of the pixels of a frame minus the mean of dark frames.
+    """Noise of the pixels of a frame minus the mean of dark frames."""
 
-    Attributes
-    ----------
-    pixel : NoiseModel
-        Temporal noise of one frame without light: read noise and dark charge as ``read_noise_e``, rounding.
-    spread_e4 : float
-        Variance over the pixels of that noise's variance.
-    prnu : float
-        Standard deviation of the response over the pixels, relative.
-    background_e : float
-        Even light in a pixel.
-    dark_frames : int
-        Dark frames that are averaged.
-    saturation_e : float
-        Electrons of a star in a pixel at which it saturates.
-    clipped_ratio : float
-        Noise that clipping finds over the root mean square (`calib.measure.detection.false_alarms.clipped_noise`).
-    """
-
+    # Temporal noise of one frame without light: read noise and dark charge as ``read_noise_e``, rounding
     pixel: NoiseModel
-    spread_e4: float = 0.0
-    prnu: float = 0.0
-    background_e: float = 0.0
-    dark_frames: int = 20
-    saturation_e: float = np.inf
+    spread_e4: float = 0.0  # variance over the pixels of that noise's variance
+    prnu: float = 0.0  # standard deviation of the response over the pixels, relative
+    background_e: float = 0.0  # even light in a pixel
+    dark_frames: int = 20  # dark frames that are averaged
+    saturation_e: float = np.inf  # electrons of a star in a pixel at which it saturates
+    # Noise that clipping finds over the root mean square (`calib.measure.detection.false_alarms.clipped_noise`)
     clipped_ratio: float = 1.0
 
     @property

@@ -9,6 +9,8 @@ from calibration_scene import CAMERA, GEOMETRY
 from scipy.spatial.transform import Rotation
 from star_directions import sky_directions
 
+from calib.attitude import star_attitude
+from calib.attitude.identify import failed
 from calib.attitude.star_attitude import identify_stars, solve_attitude
 from calib.cameras import BrownConrady
 from calib.flags import StarFlag
@@ -78,6 +80,33 @@ def test_identification_names_stars_and_rows():
     mine = found.detected < len(row)
     assert (found.catalogue_id[mine] == 7 * row[found.detected[mine]]).all()
     assert np.array_equal(found.direction, sky.direction[found.catalogue_id // 7])
+
+
+def test_lost_in_space_asks_for_patterns_of_the_field_and_for_directions_by_identifier(monkeypatch):
+    """A search that finds nothing is repeated without the catalogue, whose identifiers the patterns may not share."""
+    sky, calls = random_sky(), []
+    stars, _ = measured(sky)
+    trail = replace(stars, flags=np.where(np.arange(len(stars)) == 0, StarFlag.TRAIL, 0).astype(np.uint32))
+    near = identify_stars(stars, CAMERA, sky, near=TRUTH)
+    first = {"catalogue_id": near.catalogue_id[:3], "direction": near.direction[:3], "detected": np.arange(3)}
+    found = replace(near, **first, residual_px=None, beyond=None)
+
+    def identify(pixel, model, database, *, flux, catalogue=None):
+        calls.append((len(pixel), database, catalogue))
+        return failed("no_match", "") if catalogue is not None else found
+
+    monkeypatch.setattr(star_attitude, "identify", identify)
+    monkeypatch.setattr(star_attitude, "kept_database", lambda **fields: tuple(fields.values()))
+    star_attitude._database.cache_clear()
+    assert identify_stars(trail, CAMERA, sky).detected.tolist() == [1, 2, 3]
+    star_attitude._database.cache_clear()
+    (count, field, by_id), (_, again, nothing) = calls
+    assert (count, again, nothing) == (len(stars) - 1, field, None)
+    np.testing.assert_allclose(field, 22.5 * np.array([0.94, 1.06]))
+    assert list(by_id) == sky.id.tolist()
+    assert len(by_id) == len(sky.id)
+    np.testing.assert_array_equal(by_id[14], sky.direction[2])
+    assert 15 not in by_id
 
 
 def test_stars_within_their_noise_need_no_word():
@@ -152,9 +181,12 @@ def test_weights_are_the_mean_variance_of_both_axes():
     assert np.mean(np.square(common)) < 0.25 * 0.00625
 
 
-def test_nothing_identified_is_an_attitude_that_is_not_ok():
+def test_the_attitude_of_a_frame_and_of_one_without_identified_stars():
     sky = random_sky()
     stars, _ = measured(sky)
+    known = solved(sky, stars, TRUTH)
+    assert (np.abs(known.error_arcsec(TRUTH)) < 5.0 * known.sigma_arcsec).all()
+    assert f"{len(known)} stars" in repr(known)
     lost = identify_stars(stars, CAMERA, sky, near=attitude_from_angles(300.0, -35.0, 0.0))
     assert lost.status == "no_match"
     one = solve_attitude(stars, lost, CAMERA, sky)

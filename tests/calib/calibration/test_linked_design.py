@@ -132,9 +132,8 @@ def test_reprojection_with_gyro_against_drawn_errors(scene, design):
     unknown = (noise - shift(odd, drift)) @ solve.T
     away = unknown @ (ahead / scale).T + shift(even, drift)
     length = np.sqrt((away**2).sum(1) / len(even.frame))
-    spread = (
-        np.sqrt(np.diag(correlated_covariance(odd, SIGMA, error))) * scale
-    )  # with the gyro's error, which ACC does not know of
+    # with the gyro's error, which ACC does not know of
+    spread = np.sqrt(np.diag(correlated_covariance(odd, SIGMA, error))) * scale
     np.testing.assert_allclose(np.sqrt((unknown**2).mean(0)), spread, rtol=4 / np.sqrt(6000) + 0.02)
     assert (spread > 1.05 * np.sqrt(np.diag(correlated_covariance(odd, SIGMA))) * scale).any()
     found = reprojection(odd, even, SIGMA, error)
@@ -177,12 +176,10 @@ def test_lonely_stars_tell_nothing_of_the_camera(design):
     assert np.all(np.diag(everything) < without)
 
 
-def test_covariance_of_the_gyro_against_the_simulated_one():
+def test_covariance_of_the_gyro_against_the_simulated_one(scene):
     """500 gyro records integrated; every variance is known to sqrt(2 / 500) = 6.3 %, every covariance likewise."""
-    config = CONFIG
-    scene = build_scene(config)
     noise = (3.0, 0.05)
-    found = gyro_rotations(scene, config, Streams(4).child("gyro"), range(500), noise)
+    found = gyro_rotations(scene, CONFIG, Streams(4).child("gyro"), range(500), noise)
     # measured = truth exp(-e), e in the axes of the body at the first frame
     drift = np.stack([-(scene.body.inv() * one).as_rotvec() for one in found]).reshape(500, -1)
     expected = gyro_drift(scene, *noise).covariance
