@@ -89,11 +89,12 @@ def test_layers_are_files_that_add_up_to_the_light(tmp_path):
     assert layers.read_bytes() == written
 
 
-def test_layers_of_a_frame_add_up_to_its_light(job, tmp_path):
-    """A file of layers that is damaged is rendered again, with the same bytes."""
+@pytest.mark.parametrize("compression", ["none", "gzip"])
+def test_layers_of_a_frame_add_up_to_its_light(compression, job, tmp_path):
+    """A file of layers that is damaged is rendered again, with the same bytes if they hold no time."""
     for name in ("frames", "truth"):
         (tmp_path / name).mkdir()
-    with_layers = job(tmp_path, files={"layers": True})
+    with_layers = job(tmp_path, files={"layers": True, "compression": compression})
     record = make_frame(with_layers, 1)
     with fits.open(tmp_path / "layers" / "frame_000001.fits", checksum=True) as content:
         layers = {unit.name: np.array(unit.data) for unit in content[1:]}
@@ -102,7 +103,8 @@ def test_layers_of_a_frame_add_up_to_its_light(job, tmp_path):
     np.testing.assert_allclose(sum(image for name, image in layers.items() if name != "DARK"), light, rtol=1e-5)
     assert make_frame(with_layers, 1) == record  # it is there
     (tmp_path / "layers" / "frame_000001.fits").write_bytes(b"")
-    assert make_frame(with_layers, 1) == record
+    again = make_frame(with_layers, 1)
+    assert again == record if compression == "none" else again.stars == record.stars
 
 
 def test_a_frame_made_alone_in_another_order_is_the_same(dataset, job, tmp_path):

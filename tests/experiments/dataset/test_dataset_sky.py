@@ -187,6 +187,8 @@ def test_the_label_of_the_moon_is_its_disk():
     assert diameter_px * scene.instrument.pixel_arcsec / 3600.0 == pytest.approx(0.52, abs=0.04)
     assert label.pixels.shape[1] == pytest.approx(np.pi / 4.0 * diameter_px**2, rel=0.02)
     assert np.hypot(label.x_px - 127.5, label.y_px - 95.5) < 0.32 * 3600.0 / scene.instrument.pixel_arcsec
+    frame = SimpleNamespace(plan=plan, cosmic_rays=None, frame=SimpleNamespace(dn=np.zeros((192, 256))))
+    assert pixel_marks(scene, frame)["DISK"].sum() == label.pixels.shape[1]
     image = SimpleNamespace(electrons=np.array([5.0]), photon_px=np.array([[1.0, 2.0]]), noise_share=0.0)
     (truth,) = disk_truth(scene, plan, [BodyDisk(name="moon", row=0, image=image)])
     assert (truth.x_px, truth.y_px, truth.diameter_px) == pytest.approx((label.x_px, label.y_px, diameter_px))

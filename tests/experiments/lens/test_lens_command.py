@@ -1,10 +1,13 @@
 """``starbench lens``: the page of a file, conversion, and one line for whatever is wrong."""
 
+import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from experiments.__main__ import main
+from experiments.lens.tables import _prescription
 from optics import load_lens
 
 ZMX = """MODE SEQ
@@ -69,6 +72,18 @@ def test_the_page_holds_prescription_figures_and_every_line(lens: Path) -> None:
         assert text in page, text
     assert "http://" not in page.replace("http://www.w3.org", "").replace("http://purl.org", "")
     assert "<b>" not in page.split("<h1>")[1].split("</h1>")[0]
+
+
+def test_every_setting_of_a_surface_is_in_the_prescription() -> None:
+    aperture = {"kind": "circle", "radius_mm": 2.0, "obscures": True}
+    rows = [
+        {"kind": "asphere", "radius_mm": math.inf, "coefficients": [1e-5, 2], "aperture": aperture, "stop": True},
+        {"kind": "sphere", "radius_mm": 12.5, "thickness_mm": 3.0, "tilt": {"x_deg": 0.5}, "semi_diameter_mm": 4.0},
+    ]
+    listed = _prescription(SimpleNamespace(file=SimpleNamespace(tables={"surface": rows}, labels=None))).rows
+    assert listed[0][:4] == ("0 stop", "asphere", "∞", "0")
+    assert listed[0][-1] == "coefficients [1e-05, 2], aperture circle that obscures, radius_mm 2"
+    assert listed[1] == ("1", "sphere", "12.5", "3", "", "4", "", "tilt {x_deg 0.5}")
 
 
 def test_ghosts_are_listed_with_the_budget_of_the_light(lens: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,6 +11,7 @@ from target_frames import HEAD, readout, spots, write
 
 from experiments.__main__ import main as starbench
 from experiments.reduce.command import METHODS
+from experiments.reduce.command import main as reduce_command
 
 ROOT = Path(__file__).parents[3]
 PLACES = [(30.0 + 25.3 * i, 30.0 + 25.2 * j) for j in range(4) for i in range(4)]
@@ -59,7 +60,7 @@ def reported(out):
 def test_one_command_for_all_methods(folder, capsys, tmp_path, engine):
     (folder / "frames.toml").write_text(HEAD + TEXTS["temporal"])
     words = ["--frames", str(folder), "--out", str(tmp_path)]
-    assert starbench(["reduce", "--method", "temporal", *words, "--force"]) == 0
+    assert reduce_command(["--method", "temporal", *words, "--force"]) == 0
     reported(tmp_path)
     assert set(METHODS) == {path.parent.name for path in ROOT.glob("experiments/*/own_frames.py")}
 
