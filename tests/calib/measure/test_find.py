@@ -87,12 +87,6 @@ def test_the_brightest_come_first_and_few_on_demand():
     assert np.round(find_stars(image, max_stars=2).x_px).tolist() == [80.0, 130.0]
 
 
-def test_nothing_found_is_an_empty_table_of_all_columns():
-    stars = find_stars(np.random.default_rng(3).normal(10.0, 2.0, (64, 64)), threshold_sigma=8.0)
-    assert len(stars) == 0
-    assert stars.covariance.shape == (0, 3, 3)
-
-
 def test_pixels_that_a_masked_array_hides_are_not_measured(electrons, place):
     """A saturated column, hidden by the mask, must give no detection and be no part of any star."""
     spoiled = np.array(electrons)

@@ -7,7 +7,7 @@ from star_images import gaussian_epsf, gaussian_stars, noisy, stamps_of
 from calib.flags import StarFlag, has_flag
 from calib.measure.centroiders.epsf import EpsfCentroider
 from calib.measure.centroiding.registry import get_centroider
-from calib.measure.epsf.bspline import EpsfBank, EpsfModel, draw_epsf, smeared_epsfs
+from calib.measure.epsf.bspline import draw_epsf, smeared_epsfs
 from calib.measure.epsf.build import build_epsf
 from calib.records import NoiseModel
 from render.records import EffectivePsf
@@ -25,19 +25,6 @@ def test_interpolation_error_falls_with_the_fourth_power(sigma, oversampling, or
     ]
     assert errors[0] < 3e-4
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.6)
-
-
-def test_derivatives_against_finite_differences():
-    model = EpsfModel(EpsfBank([gaussian_epsf(0.6)], (11, 9)), np.zeros(1, int))
-    theta, h = np.array([[4.321, 5.678, 1000.0]]), 1e-5
-    _, jacobian = model.evaluate(theta, np.arange(1))
-    for i in range(3):
-        step = np.zeros(3)
-        step[i] = h
-        numeric = (model.evaluate(theta + step, np.arange(1))[0] - model.evaluate(theta - step, np.arange(1))[0]) / (
-            2 * h
-        )
-        assert np.abs(jacobian[0, i] - numeric[0]).max() < 1e-6 * max(1.0, np.abs(jacobian[0, i]).max())
 
 
 def test_star_far_outside_the_window_leaves_it_dark():

@@ -50,6 +50,8 @@ def test_foreign_files_give_the_stars(tmp_path, sky_dn, kind):
         fits.HDUList([fits.PrimaryHDU(), fits.CompImageHDU(np.rint(dn).astype(np.int32))]).writeto(path)
     else:
         write_odd(path, np.rint(dn).astype(kind))
+    if kind == "uint16":
+        assert (fits.getheader(path, 1)["BITPIX"], fits.getheader(path, 1)["BZERO"]) == (16, 32768)
     image = read_image(path)
     assert set(image.assumed) == {"gain_dn_per_e", "offset_dn", "read_noise_e"}
     assert image.noise.quantised == (kind != "float32")
@@ -60,15 +62,6 @@ def test_foreign_files_give_the_stars(tmp_path, sky_dn, kind):
     assert table.y_px == pytest.approx(y[order], abs=0.05)
     if kind == "float32":
         assert (~image.valid).sum() == 17
-
-
-def test_bzero_is_really_in_the_file(tmp_path, sky_dn):
-    path = tmp_path / "u.fits"
-    write_odd(path, np.rint(sky_dn[0]).astype(np.uint16))
-    raw = fits.getheader(path, 1)
-    assert raw["BITPIX"] == 16
-    assert raw["BZERO"] == 32768
-    assert read_image(path).dn.min() > 400
 
 
 def test_keywords_and_arguments(tmp_path, sky_dn):
