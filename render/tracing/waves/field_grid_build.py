@@ -103,17 +103,12 @@ class GridPlan:
         return stars >= LEAST_STARS and cheap
 
 
-def plan_grid(
-    planner: PupilPlanner,
-    wavelength_nm: FloatArray,
-    collimation: Collimation | None = None,
-    least_radius_px: float = 0.0,
-) -> GridPlan:
+def plan_grid(planner: PupilPlanner, wavelength_nm: FloatArray, collimation: Collimation | None = None) -> GridPlan:
     """Cost of a grid at wavelengths (b, k), from the rays and samples of a star in the middle and in a corner.
 
     The number of images is that of the grids that are tried first: few of any lens are good enough at once.
     """
-    field = _FieldImages(planner, wavelength_nm, collimation, least_radius_px)
+    field = _FieldImages(planner, wavelength_nm, collimation)
     points = field.middle + np.outer([0.0, 0.97], field.half)
     images, groups, chief, _ = field.exact(points, np.full((2, *wavelength_nm.shape), 1.0 / wavelength_nm.shape[1]))
     probes = [probe for group in groups for probe in images.probes(group)]
@@ -177,7 +172,11 @@ class _FieldImages:
     """Exact images at points of the field of a planner's camera; points are tangents of angles along X and Y of cam."""
 
     def __init__(
-        self, planner: PupilPlanner, wavelength_nm: FloatArray, collimation: Collimation | None, least_radius_px: float
+        self,
+        planner: PupilPlanner,
+        wavelength_nm: FloatArray,
+        collimation: Collimation | None,
+        least_radius_px: float = 0.0,
     ) -> None:
         self.planner, self.camera, self.collimation = planner, planner.camera, collimation
         self.wavelength_nm, self.least_radius_px = wavelength_nm, least_radius_px

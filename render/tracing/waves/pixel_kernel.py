@@ -164,7 +164,8 @@ class PixelTable:
 def pixel_table(field: FieldSampling, sigma_px: float) -> PixelTable:
     """Weights of samples for pixels anywhere between them."""
     kernel, step = field.pixel(1.0, sigma_px), 1.0 / 2048.0
-    values = kernel(np.arange(math.ceil(kernel.reach_px / step) + 2) * step) * field.light_step
+    distance_px = np.asarray(np.arange(math.ceil(kernel.reach_px / step) + 2) * step, np.float64)
+    values = kernel(distance_px) * field.light_step
     values[-1] = 0.0
     return PixelTable(values, step, field.light_step, kernel.reach_px - 0.5)
 
