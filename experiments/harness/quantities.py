@@ -240,7 +240,9 @@ def _record(quantity: Quantity, data: xr.Dataset) -> dict[str, Any]:
         record["uncertainty"] = _nested(quantity.error, quantity.dims, data)
     if quantity.n is not None:
         counts = np.unique(quantity.n)
-        record["n"] = counts[0] if counts.size == 1 else _nested(quantity.n, quantity.dims, data)
+        record["n"] = (
+            int(counts[0]) if counts.size == 1 and np.isfinite(counts[0]) else _nested(quantity.n, quantity.dims, data)
+        )
     return record
 
 
@@ -254,7 +256,7 @@ def _unit_of(quantity: Quantity, data: xr.Dataset) -> Any:
 
 def _nested(values: NDArray[Any], dims: Sequence[str], data: xr.Dataset) -> Any:
     if not dims or not (keys := [_keys(data, dim) for dim in dims]) or not any(keys):
-        return values
+        return values.tolist()
     members = [_nested(member, dims[1:], data) for member in values]
     return members if keys[0] is None else dict(zip(keys[0], members, strict=True))
 
