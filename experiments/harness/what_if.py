@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, make_dataclass
 from functools import partial
 from pathlib import Path
@@ -29,10 +28,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 IN_TABLE = 5
-"""Number of swept quantities in the table of the terminal, two fewer where there are requirements; the ECSV file has
-all of them."""
+"""Number of predicted quantities in the table of the terminal, two fewer with requirements; the ECSV file has all."""
 FINE = 120
-"""Points along each side of a map that its lines are drawn with."""
+"""Points along each side of the grid on which contour lines of a map are drawn."""
 MISSED, NOW = "#d55e00", "#8a9099"
 
 
@@ -52,30 +50,30 @@ class Requirement:
 
 
 def judge(limits: Mapping[str, tuple[float, bool]], numbers: Mapping[str, Quantity]) -> list[Requirement]:
-    """Every limit, (value, whether at least), against the number of that name; limits without a number are left out."""
-    rows = []
+    """Every limit, (value, whether at least), against the number of that name; limits without a number are omitted."""
+    requirements = []
     for key, (required, at_least) in limits.items():
         if key not in numbers:
             continue
-        one = numbers[key]
-        value = float(one.values)
+        number = numbers[key]
+        value = float(number.values)
         excess = value - required if at_least else required - value
-        if one.unit != "mag" and required:
+        if number.unit != "mag" and required:
             excess /= abs(required)
-        rows.append(
+        requirements.append(
             Requirement(
-                label=one.label,
+                label=number.label,
                 key=key,
                 required=float(required),
                 predicted=value,
-                unit=shown_unit(one.unit),
-                margin=_margin(excess, one.unit),
+                unit=shown_unit(number.unit),
+                margin=_margin(excess, number.unit),
                 met=bool(value >= required if at_least else value <= required),
                 at_least=at_least,
                 excess=excess,
             )
         )
-    return rows
+    return requirements
 
 
 def _margin(excess: float, unit: str) -> str:
@@ -89,28 +87,33 @@ NEAR = 0.02
 """Accuracy of a crossing, as a fraction of its distance from the value that meets the requirements, or of itself."""
 
 
-def crossing(met: Callable[[float], bool], held: float, lost: float) -> float:
-    """Where between a value at which ``met`` and one at which not it ceases to be, by halving."""
-    start = held
-    while abs(lost - held) > NEAR * max(abs(lost - start), 1e-3 * abs(lost)):
-        middle = 0.5 * (held + lost)
-        held, lost = (middle, lost) if met(middle) else (held, middle)
-    return 0.5 * (held + lost)
+def crossing(met: Callable[[float], bool], inside: float, outside: float) -> float:
+    """Value at which ``met`` changes between one that meets (inside) and one that does not (outside), by bisection."""
+    start = inside
+    while abs(outside - inside) > NEAR * max(abs(outside - start), 1e-3 * abs(outside)):
+        middle = 0.5 * (inside + outside)
+        inside, outside = (middle, outside) if met(middle) else (inside, middle)
+    return 0.5 * (inside + outside)
 
 
 def missed_words(requirements: Sequence[Requirement]) -> str:
     """Summary of the verdicts on all requirements, in a sentence."""
     if not requirements:
         return "The sensor file states no [requirements]."
-    missed = [one for one in requirements if not one.met]
+    missed = [requirement.label for requirement in requirements if not requirement.met]
     if not missed:
         return f"The sensor meets {f'all {len(requirements)} requirements' if requirements[1:] else 'its requirement'}."
-    labels = (one.label if one.label[1:2].isupper() else f"{one.label[0].lower()}{one.label[1:]}" for one in missed)
+    labels = (label if label[1:2].isupper() else _lower(label) for label in missed)
     return f"The sensor misses {len(missed)} of {len(requirements)} requirements: {', '.join(labels)}."
 
 
+def _lower(label: str) -> str:
+    """A label amid a sentence."""
+    return f"{label[:1].lower()}{label[1:]}"
+
+
 def _requirement_axis(q: Quantities, requirements: Sequence[Requirement]) -> None:
-    q.axis("requirement", np.array([one.key for one in requirements], dtype=object), "Requirement")
+    q.axis("requirement", np.array([requirement.key for requirement in requirements], dtype=object), "Requirement")
 
 
 REQUIREMENTS = Section(
@@ -126,14 +129,14 @@ REQUIREMENTS = Section(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Key:
-    """One swept key."""
+class SweptKey:
+    """A swept key and its values."""
 
     key: str
     label: str
     unit: str
     values: tuple[float, ...]
-    now: float | None  # Value of the sensor as it is; None where its file leaves that open
+    now: float | None  # Value of the sensor as it is; None where its file states none
 
     @property
     def field(self) -> str:
@@ -142,8 +145,8 @@ class _Key:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Point:
-    """The prediction at one point; no numbers where the setting is refused."""
+class SweptPoint:
+    """The prediction at a point of a sweep; no numbers where the setting is refused."""
 
     at: tuple[float, ...]
     numbers: Mapping[str, Quantity]
@@ -152,7 +155,7 @@ class _Point:
 
     @property
     def met(self) -> bool:
-        return bool(self.numbers) and all(one.met for one in self.requirements)
+        return bool(self.numbers) and all(requirement.met for requirement in self.requirements)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -165,20 +168,20 @@ class Swept:
     first: str = col("Key")
     second: str | None = col("Second key", default=None)
     left_out: str = col("Requirements without a prediction")
-    keys: tuple[_Key, ...]
-    points: tuple[_Point, ...]
+    keys: tuple[SweptKey, ...]
+    points: tuple[SweptPoint, ...]
     shown: tuple[str, ...]  # Quantities of the figures
 
     @property
     def required(self) -> dict[str, tuple[float, bool]]:
         """Requirement -> (value, whether at least)."""
-        rows = next((one.requirements for one in self.points if one.numbers), ())
-        return {one.key: (one.required, one.at_least) for one in rows}
+        rows = next((point.requirements for point in self.points if point.numbers), ())
+        return {row.key: (row.required, row.at_least) for row in rows}
 
     @property
     def met(self) -> Any:
         """Whether all requirements are met, at all points."""
-        return np.array([one.met for one in self.points])
+        return np.array([point.met for point in self.points])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -192,54 +195,52 @@ class Crossing:
 
 
 def run_sweep(declared: Experiment, config: Any, *, progress: Progress) -> dict[str, Any]:
-    """Predict at every value of one key, or at all pairs of values of two."""
-    plain = config.model_copy(update={"sweep": ()})
+    """Predict at every value of a key, or at all pairs of values of two."""
+    sensor = config.model_copy(update={"sweep": ()})
     ranges = config.sweep_ranges
-    combinations = list(itertools.product(*(one.values for one in ranges)))
-    points = []
-    with progress.stage("predict", total=len(combinations)) as stage:
-        for at in combinations:
-            points.append(_point(declared, plain, [one.key for one in ranges], at))
-            stage.advance()
-    known = next((one for one in points if one.numbers), None)
-    if known is None:
+    predict = partial(_point, declared, sensor, [axis.key for axis in ranges])
+    combinations = list(itertools.product(*(axis.values for axis in ranges)))
+    points = [predict(values) for values in progress.track(combinations, "predict")]
+    example = next((point for point in points if point.numbers), None)
+    if example is None:
         raise DomainError(f"no value of the sweep can be predicted: {points[0].refusal}")
     keys = []
-    for one in ranges:
-        label, unit = quantity_of(one.key)
-        now = value_at(plain, one.key)
-        values = tuple(float(v) for v in one.values)
-        keys.append(_Key(key=one.key, label=label, unit=unit, values=values, now=None if now is None else float(now)))
-    required = [one.key for one in known.requirements]
-    left_out = [key for key in _limits(declared, plain) if key not in required]
+    for axis in ranges:
+        label, unit = quantity_of(axis.key)
+        now = value_at(sensor, axis.key)
+        values = tuple(map(float, axis.values))
+        keys.append(
+            SweptKey(key=axis.key, label=label, unit=unit, values=values, now=None if now is None else float(now))
+        )
+    required = [requirement.key for requirement in example.requirements]
     swept = Swept(
         answer=_answer(declared, keys, points),
-        sensor=_name(plain),
-        words=" and ".join(f"{one.label} from {_with_unit(one, one.values[0])} to {_with_unit(one, one.values[-1])} in "
-                           f"{len(one.values)} values" for one in keys),
+        sensor=_name(sensor),
+        words=" and ".join(f"{key.label} from {_with_unit(key, key.values[0])} to {_with_unit(key, key.values[-1])} in "
+                           f"{len(key.values)} values" for key in keys),
         first=keys[0].key,
         second=keys[1].key if keys[1:] else None,
-        left_out=", ".join(left_out),
+        left_out=", ".join(key for key in _limits(declared, sensor) if key not in required),
         keys=tuple(keys),
         points=tuple(points),
-        shown=tuple(dict.fromkeys((*(name for name in declared.swept if name in known.numbers), *required))),
+        shown=tuple(dict.fromkeys((*(name for name in declared.swept if name in example.numbers), *required))),
     )  # fmt: skip
-    if keys[1:]:
-        return {"swept": swept, "points": _rows(declared, swept, known.numbers), "crossings": None}
-    with progress.stage("crossings"):
-        crossings = _crossings(swept, partial(_point, declared, plain, [ranges[0].key]))
-    return {"swept": swept, "points": _rows(declared, swept, known.numbers), "crossings": crossings or None}
+    crossings: list[Crossing] = []
+    if len(keys) == 1:
+        with progress.stage("crossings"):
+            crossings = _crossings(swept, predict)
+    return {"swept": swept, "points": _rows(declared, swept, example.numbers), "crossings": crossings or None}
 
 
-def _point(declared: Experiment, config: Any, keys: Sequence[str], at: tuple[float, ...]) -> _Point:
+def _point(declared: Experiment, config: Any, keys: Sequence[str], at: tuple[float, ...]) -> SweptPoint:
     try:
         for key, value in zip(keys, at, strict=True):
             config = with_value(config, key, value)
         outcome = _predicted(declared, config)
     except (StarbenchError, ValueError) as error:
-        return _Point(at=at, numbers={}, refusal=str(error).splitlines()[0])
+        return SweptPoint(at=at, numbers={}, refusal=str(error).splitlines()[0])
     numbers = single_numbers(outcome.data)
-    return _Point(at=at, numbers=numbers, requirements=judge(_limits(declared, config), numbers))
+    return SweptPoint(at=at, numbers=numbers, requirements=judge(_limits(declared, config), numbers))
 
 
 def _predicted(declared: Experiment, config: Any) -> Outcome:
@@ -259,29 +260,29 @@ def _name(config: Any) -> str:
     return named or ("the sensor" if setting is None else f"{setting.lens_label} on {Path(setting.detector).stem}")
 
 
-def _with_unit(key: _Key, value: float) -> str:
+def _with_unit(key: SweptKey, value: float) -> str:
     return f"{value:g} {shown_unit(key.unit)}".rstrip()
 
 
-def _answer(declared: Experiment, keys: Sequence[_Key], points: Sequence[_Point]) -> str:
+def _answer(declared: Experiment, keys: Sequence[SweptKey], points: Sequence[SweptPoint]) -> str:
     """Number of points that meet the requirements, and the best of them."""
     chief = declared.swept[0]
-    known = [one for one in points if one.numbers and np.isfinite(one.numbers[chief].values)]
-    required = next(one.requirements for one in points if one.numbers)
-    met = [one for one in known if one.met]
+    predicted = [point for point in points if point.numbers and np.isfinite(point.numbers[chief].values)]
+    required = next(point.requirements for point in points if point.numbers)
+    met = [point for point in predicted if point.met]
     words = "The sensor file states no [requirements]."
     if required:
         count = f"{len(met)} of {len(points)} points meet" if met else "No point meets"
         words = f"{count} {f'all {len(required)} requirements' if required[1:] else 'the requirement'}."
-    if not known:
+    if not predicted:
         return words
-    at_most = dict.fromkeys((one.key for one in required if one.at_least), -1.0).get(chief, 1.0)
-    best = min(met or known, key=lambda one: at_most * float(one.numbers[chief].values))
-    one = best.numbers[chief]
+    sign = -1.0 if any(requirement.key == chief and requirement.at_least for requirement in required) else 1.0
+    best = min(met or predicted, key=lambda point: sign * float(point.numbers[chief].values))
+    number = best.numbers[chief]
     at = ", ".join(f"{key.label} {_with_unit(key, value)}" for key, value in zip(keys, best.at, strict=True))
     among = " among these" if required and met else ""
-    label = f"{one.label[0].lower()}{one.label[1:]}"
-    return f"{words} Best {label}{among}: {float(one.values):{one.format or '.4g'}}{shown_unit(one.unit)} at {at}."
+    value = f"{float(number.values):{number.format or '.4g'}}{shown_unit(number.unit)}"
+    return f"{words} Best {_lower(number.label)}{among}: {value} at {at}."
 
 
 def _rows(declared: Experiment, swept: Swept, numbers: Mapping[str, Quantity]) -> list[Any]:
@@ -299,36 +300,37 @@ def _rows(declared: Experiment, swept: Swept, numbers: Mapping[str, Quantity]) -
     fields.append(("misses", str, col("Misses", shown=bool(swept.required))))
     fields.append(("refusal", str, col("Refused", shown=False)))
     record = make_dataclass("SweepPoint", fields, frozen=True, kw_only=True)
-    nothing = dict.fromkeys(numbers, math.nan)
     rows = []
     for point in swept.points:
-        values = nothing | {name: float(one.values) for name, one in point.numbers.items() if name in numbers}
-        missed = ", ".join(one.key for one in point.requirements if not one.met)
+        values = {name: float(point.numbers[name].values) if name in point.numbers else math.nan for name in numbers}
+        missed = ", ".join(requirement.key for requirement in point.requirements if not requirement.met)
         at = dict(zip(swept_fields, point.at, strict=True))
         rows.append(record(**at, **values, meets=point.met, misses=missed, refusal=point.refusal))
     return rows
 
 
-def _crossings(swept: Swept, predict: Callable[[tuple[float]], _Point]) -> list[Crossing]:
-    """Crossings of one swept key between its values, each found by further predictions."""
-    at, rows = swept.keys[0].values, []
-    whole = all(isinstance(value, int) for value in at)
+def _crossings(swept: Swept, predict: Callable[[tuple[float]], SweptPoint]) -> list[Crossing]:
+    """Values of the only swept key at which a requirement changes, by further predictions between two points."""
+    crossings = []
     for name in swept.required:
-        labels = [next((one for one in point.requirements if one.key == name), None) for point in swept.points]
-        label = next(one.label for one in labels if one is not None)
 
-        def met(value: float, name: str = name) -> bool:
-            return next((one.met for one in predict((value,)).requirements if one.key == name), False)
+        def requirement(point: SweptPoint, name: str = name) -> Requirement | None:
+            return next((row for row in point.requirements if row.key == name), None)
 
-        for (x, one), (y, other) in itertools.pairwise(zip(at, labels, strict=True)):
-            if one is None or other is None or one.met == other.met:
+        def met(value: float) -> bool:
+            row = requirement(predict((value,)))  # called within this turn of the loop
+            return row is not None and row.met
+
+        for lower, upper in itertools.pairwise(swept.points):
+            first, second = requirement(lower), requirement(upper)
+            if first is None or second is None or first.met == second.met:
                 continue
-            held, lost = (x, y) if one.met else (y, x)
-            where = 0.5 * (x + y) if whole else crossing(met, held, lost)
-            rows.append(
-                Crossing(label=label, requirement=name, at=float(where), met="above" if held > lost else "below")
-            )
-    return rows
+            inside, outside = (*lower.at, *upper.at) if first.met else (*upper.at, *lower.at)
+            whole = isinstance(inside, int)  # between two whole numbers nothing can be predicted
+            at = 0.5 * (inside + outside) if whole else crossing(met, inside, outside)
+            side = "above" if inside > outside else "below"
+            crossings.append(Crossing(label=first.label, requirement=name, at=float(at), met=side))
+    return crossings
 
 
 def _draw_sweep(outcome: Outcome) -> Figure:
@@ -336,17 +338,17 @@ def _draw_sweep(outcome: Outcome) -> Figure:
 
     swept: Swept = outcome.result["swept"]
     rows = -(-len(swept.shown) // 2)
-    two = len(swept.keys) == 2
-    figure, axes = new_figure(rows, 2, aspect_ratio=(0.33 if two else 0.22) * rows + 0.05, squeeze=False)
-    panels = list(axes.ravel())
-    for panel in panels[len(swept.shown) :]:
-        panel.set_visible(False)
-    for panel, name in zip(panels, swept.shown, strict=False):
-        (_map if two else _curve)(figure, panel, outcome, swept, name)
+    is_map = len(swept.keys) == 2
+    figure, axes = new_figure(rows, 2, aspect_ratio=(0.33 if is_map else 0.22) * rows + 0.05, squeeze=False)
+    for panel, name in itertools.zip_longest(axes.ravel(), swept.shown):
+        if name is None:
+            panel.set_visible(False)
+            continue
+        (_map if is_map else _curve)(figure, panel, outcome, swept, name)
         panel.set_title(outcome.quantity(name).heading)
-        for which, key in zip("xy", swept.keys, strict=False):
-            panel.set(**{f"{which}label": outcome.heading(key.field)})
-            spaced_axis(panel, which, key.values)  # type: ignore[arg-type]
+        for letter, key in zip("xy", swept.keys, strict=False):
+            panel.set(**{f"{letter}label": outcome.heading(key.field)})
+            spaced_axis(panel, letter, key.values)  # type: ignore[arg-type]
     return figure
 
 
@@ -357,9 +359,9 @@ def _curve(figure: Figure, panel: Any, outcome: Outcome, swept: Swept, name: str
     panel.plot(key.values, values, color=PALETTE[0], marker="o", markersize=3)
     if name in swept.required:
         _required(panel, *swept.required[name], values)
-    for one in outcome.result["crossings"] or ():
-        if one.requirement == name:
-            panel.axvline(one.at, color=MISSED, linewidth=0.9)
+    for change in outcome.result["crossings"] or ():
+        if change.requirement == name:
+            panel.axvline(change.at, color=MISSED, linewidth=0.9)
     if key.now is not None and min(key.values) <= key.now <= max(key.values):
         panel.axvline(key.now, color=NOW, linewidth=1.0, dashes=(1, 2))
     if np.isfinite(values).any() and np.nanmin(values) > 0 and name.endswith(("_arcsec", "_px")):
@@ -369,29 +371,29 @@ def _curve(figure: Figure, panel: Any, outcome: Outcome, swept: Swept, name: str
 def _map(figure: Figure, panel: Any, outcome: Outcome, swept: Swept, name: str) -> None:
     from experiments.harness.plotting import INK
 
-    first, second = (np.array(one.values) for one in swept.keys)
+    first, second = (np.array(key.values) for key in swept.keys)
     values = outcome.values(name).reshape(len(first), len(second)).T
-    drawn = panel.pcolormesh(first, second, np.ma.masked_invalid(values), shading="nearest", cmap="cividis")
-    figure.colorbar(drawn, ax=panel, pad=0.02)
+    mesh = panel.pcolormesh(first, second, np.ma.masked_invalid(values), shading="nearest", cmap="cividis")
+    figure.colorbar(mesh, ax=panel, pad=0.02)
     required = swept.required.get(name, (math.nan, True))[0]
     if np.nanmin(values) < required < np.nanmax(values) and min(values.shape) > 1:
         panel.contour(*_finer(first, second, values), levels=[required], colors=MISSED, linewidths=1.4)
-    missed = np.array([one.at for one in swept.points])[~swept.met] if swept.required else np.empty((0, 2))
-    for colour, thickness in ((INK, 2.2), ("white", 0.9)):  # visible on every ground
+    missed = np.array([point.at for point in swept.points])[~swept.met] if swept.required else np.empty((0, 2))
+    for colour, thickness in ((INK, 2.2), ("white", 0.9)):  # visible on light and dark colours
         panel.plot(*missed.T, "x", color=colour, markersize=3.5, markeredgewidth=thickness)
     panel.grid(visible=False)
 
 
 def _finer(first: FloatArray, second: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """A map (second, first) on a fine grid, by cubic splines of logarithms; unchanged where some points are refused."""
+    """A map (second, first) on a fine grid, by cubic splines of logarithms; unchanged if any point is refused."""
     from scipy.interpolate import RectBivariateSpline
 
     if not (np.isfinite(values).all() and (values > 0.0).all()):
         return first, second, values
-    spread = [logarithmic(one.tolist()) for one in (first, second)]
-    axes = [np.log(one) if log else one for one, log in zip((first, second), spread, strict=True)]
-    fine = [np.linspace(one[0], one[-1], FINE) for one in axes]
-    x, y = (np.exp(one) if log else one for one, log in zip(fine, spread, strict=True))
+    logs = [logarithmic(axis.tolist()) for axis in (first, second)]
+    axes = [np.log(axis) if log else axis for axis, log in zip((first, second), logs, strict=True)]
+    fine = [np.linspace(axis[0], axis[-1], FINE) for axis in axes]
+    x, y = (np.exp(axis) if log else axis for axis, log in zip(fine, logs, strict=True))
     degree = {"kx": min(3, len(second) - 1), "ky": min(3, len(first) - 1)}
     return x, y, np.exp(RectBivariateSpline(axes[1], axes[0], np.log(values), **degree)(fine[1], fine[0]))
 
@@ -439,8 +441,8 @@ class Difference:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Compared:
-    """Performance of each sensor against a requirement of its own file."""
+class RequirementVerdicts:
+    """Performance of each sensor against a requirement of its file."""
 
     label: str = col("Requirement")
     verdict: Sequence[str] = col("Verdict", dims="sensor")
@@ -448,7 +450,7 @@ class Compared:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Curves:
-    """Quantities of all sensors that are drawn on each other."""
+    """Quantities that a figure compares between sensors."""
 
     outcomes: tuple[Outcome, ...]
     names: tuple[str, ...]
@@ -457,81 +459,81 @@ class _Curves:
 
 def run_comparison(declared: Experiment, configs: Sequence[Any], *, progress: Progress) -> dict[str, Any]:
     """Predict all sensors."""
-    outcomes, counts = [], Counter[str]()
-    names: list[str] = []
-    with progress.stage("sensors", total=len(configs)) as stage:
-        for number, config in enumerate(configs, start=1):
-            try:
-                outcomes.append(_predicted(declared, config))
-            except StarbenchError as error:
-                raise DomainError(f"sensor {number} ({_name(config)}): {error}") from None
-            name = _name(config)
-            counts[name] += 1
-            names.append(name if counts[name] == 1 else f"{name} ({counts[name]})")
-            stage.advance()
-    numbers = [single_numbers(one.data) for one in outcomes]
+    outcomes, names = [], list[str]()
+    for number, config in enumerate(progress.track(configs, "sensors"), start=1):
+        name = _name(config)
+        try:
+            outcomes.append(_predicted(declared, config))
+        except StarbenchError as error:
+            raise DomainError(f"sensor {number} ({name}): {error}") from None
+        repeated = sum(name == other for other in map(_name, configs[:number]))
+        names.append(name if repeated == 1 else f"{name} ({repeated})")
+    numbers = [single_numbers(outcome.data) for outcome in outcomes]
     requirements = [judge(_limits(declared, c), n) for c, n in zip(configs, numbers, strict=True)]
-    common = {name: one for name, one in numbers[0].items() if all(name in other for other in numbers)}
-    shown = [name for name in declared.swept if name in common]
-    fields: list[Any] = [("sensor", str, col("Sensor"))]
+    common = {name: number for name, number in numbers[0].items() if all(name in other for other in numbers)}
     common.pop("requirements_missed", None)
-    for name in dict.fromkeys((*shown, *common)):
-        one = common[name]
-        fields.append((name, float, col(one.label, one.unit, one.format, shown=name in shown)))
+    columns = [name for name in declared.swept if name in common]
+    fields: list[Any] = [("sensor", str, col("Sensor"))]
+    for name in dict.fromkeys((*columns, *common)):
+        number = common[name]
+        fields.append((name, float, col(number.label, number.unit, number.format, shown=name in columns)))
     fields.append(("requirements", int, col("Requirements", shown=False)))
     fields.append(("requirements_missed", int, col("Requirements missed", shown=False)))
     record = make_dataclass("Sensor", fields, frozen=True, kw_only=True)
     rows = [
         record(
             sensor=name,
-            requirements=len(asked),
-            requirements_missed=sum(not one.met for one in asked),
-            **{key: float(own[key].values) for key in common},
+            requirements=len(verdicts),
+            requirements_missed=sum(not verdict.met for verdict in verdicts),
+            **{key: float(predicted[key].values) for key in common},
         )
-        for name, own, asked in zip(names, numbers, requirements, strict=True)
+        for name, predicted, verdicts in zip(names, numbers, requirements, strict=True)
     ]
     return {
         "sensors": rows,
-        "requirements": list(_compared(requirements)) or None,
+        "requirements": _verdicts(requirements) or None,
         "differences": _differences(configs) or None,
         "curves": _Curves(outcomes=tuple(outcomes), names=tuple(declared.compared), sensors=tuple(names)),
     }
 
 
-def _compared(requirements: Sequence[Sequence[Requirement]]) -> Iterator[Compared]:
-    labels = {one.key: one.label for own in requirements for one in own}
+def _verdicts(requirements: Sequence[Sequence[Requirement]]) -> list[RequirementVerdicts]:
+    sensors = [{requirement.key: requirement for requirement in verdicts} for verdicts in requirements]
+    labels = {key: requirement.label for sensor in sensors for key, requirement in sensor.items()}
+    rows = []
     for key, label in labels.items():
-        rows = [next((one for one in own if one.key == key), None) for own in requirements]
-        words = ["not required" if r is None else f"{'met' if r.met else 'MISSED'}, {r.margin}" for r in rows]
-        yield Compared(label=label, verdict=words)
+        verdicts = (sensor.get(key) for sensor in sensors)
+        words = ["not required" if v is None else f"{'met' if v.met else 'MISSED'}, {v.margin}" for v in verdicts]
+        rows.append(RequirementVerdicts(label=label, verdict=words))
+    return rows
 
 
 def _differences(configs: Sequence[Any]) -> list[Difference]:
-    settings = [flat(one.model_dump()) for one in configs]
-    keys = dict.fromkeys(key for one in settings for key in one if key != "name")
-    rows = [Difference(key=key, value=[_plain(one.get(key)) for one in settings]) for key in keys]
-    return [one for one in rows if len(set(one.value)) > 1]
+    settings = [flat(config.model_dump()) for config in configs]
+    keys = dict.fromkeys(key for values in settings for key, value in values.items() if key != "name" and value != {})
+    rows = [Difference(key=key, value=[_plain(values.get(key)) for values in settings]) for key in keys]
+    return [row for row in rows if len(set(row.value)) > 1]
 
 
 def _plain(value: Any) -> str:
     if value is None:
         return "–"
     if isinstance(value, (tuple, list)):
-        return ", ".join(_plain(one) for one in value)
+        return ", ".join(map(_plain, value))
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _draw_curves(outcome: Outcome) -> Figure:
     from experiments.harness.plotting import PALETTE, log_ticks, new_figure
 
-    drawn: _Curves = outcome.result["curves"]
-    names = [name for name in drawn.names if all(name in one for one in drawn.outcomes)]
+    curves: _Curves = outcome.result["curves"]
+    names = [name for name in curves.names if all(name in sensor for sensor in curves.outcomes)]
     figure, axes = new_figure(1, len(names), aspect_ratio=0.42, squeeze=False)
     for panel, name in zip(axes[0], names, strict=True):
-        for one, sensor, colour in zip(drawn.outcomes, drawn.sensors, PALETTE, strict=False):
-            (dim,) = one.quantity(name).dims
-            panel.plot(one.data[dim].values, one.values(name), color=colour, label=sensor)
-        panel.set(xlabel=drawn.outcomes[0].heading(dim), ylabel=drawn.outcomes[0].heading(name))
+        for predicted, sensor, colour in zip(curves.outcomes, curves.sensors, PALETTE, strict=False):
+            (dim,) = predicted.quantity(name).dims
+            panel.plot(predicted.data[dim].values, predicted.values(name), color=colour, label=sensor)
+        panel.set(xlabel=curves.outcomes[0].heading(dim), ylabel=curves.outcomes[0].heading(name))
         if name.endswith("_arcsec"):
             panel.set_yscale("log")
             log_ticks(panel, "y")
@@ -541,15 +543,6 @@ def _draw_curves(outcome: Outcome) -> Figure:
 
 def comparison_sections(result: Mapping[str, Any]) -> dict[str, Section]:
     """Sections of a comparison; its rows are the numbers that all sensors have."""
-    key = Section(
-        record=Difference,
-        dim="key",
-        along="key",
-        table="differences",
-        across="sensor",
-        columns="value",
-        caption="Differences of the configurations.",
-    )
     return {
         "sensors": Section(
             record=type(result["sensors"][0]),
@@ -559,13 +552,21 @@ def comparison_sections(result: Mapping[str, Any]) -> dict[str, Section]:
             caption="Predictions for all sensors.",
         ),
         "requirements": Section(
-            record=Compared,
+            record=RequirementVerdicts,
             dim="requirement",
             rows="requirement",
             hidden="requirement",
             across="sensor",
             caption="Each sensor against the requirements of its own file, with its margin.",
         ),
-        "differences": key,
+        "differences": Section(
+            record=Difference,
+            dim="key",
+            along="key",
+            table="differences",
+            across="sensor",
+            columns="value",
+            caption="Differences of the configurations.",
+        ),
         "curves": Section(record=_Curves, figures={"curves": _draw_curves}),
     }
