@@ -1,8 +1,8 @@
 """Figures that draw what the Dataset holds: ``curves("x", points="measured", lines="predicted", by="method")``.
 
-Points are measured and carry their uncertainty, lines are predicted, the grey floor is what cannot be reached, dashes
-are published. Every function returns a function of an outcome, which is what the figures of a section are; ``names`` of
-it are the quantities it draws. A figure that has to compute lacks a column.
+Points are measured and carry their uncertainty, lines are predicted, the grey floor is a lower bound, dashes are
+published values. Every function returns a function of an outcome, which is what the figures of a section are; its
+attribute ``names`` holds the quantities that it draws. A figure that has to compute lacks a column.
 """
 
 from __future__ import annotations
@@ -43,22 +43,22 @@ def curves(
     Parameters
     ----------
     x : str
-        Quantity or dimension of the axis across; without numbers its names stand as ticks.
+        Quantity or dimension of the horizontal axis; texts become its ticks.
     points, lines : str
         Quantities, measured (markers with their uncertainty, not joined) and predicted (joined). Several of one kind
         without ``by`` get a colour each; a line that does not depend on ``by`` is drawn once, in black.
     by : str
         Dimension, or quantity of text along ``x``: its values group the points.
     floor : str
-        Quantity below which nothing can be.
+        Quantity that is a lower bound.
     dashes : str
-        Quantity without ``x``, drawn across the panel; left out where the Dataset lacks it.
+        Quantity without ``x``, a horizontal line; omitted if the Dataset lacks it.
     level, band : float
-        A level across, and half of the grey height about it.
+        A horizontal line, and half of the height of the grey band about it.
     log : str
         Axes that are logarithmic, e.g. "xy".
     y : str
-        What the upright axis shows, where that is more than the label of the first quantity; the unit is added.
+        Label of the vertical axis in place of the first quantity's; the unit is added.
     at : dict
         Dimension -> coordinate that is drawn.
     **size
@@ -66,66 +66,59 @@ def curves(
     """
 
     def draw(o: Outcome) -> Figure:
-        from experiments.harness.plotting import INK, MARKERS, PALETTE, log_ticks, new_figure
+        from experiments.harness.plotting import INK, MARKERS, PALETTE, log_ticks
 
-        keys = _keys(o, panels)
-        drawn = _keys(o, by)
-        figure, grid = new_figure(1, len(keys), sharey=True, squeeze=False, **({"aspect_ratio": 0.5} | size))
-        whole_x, ticks = _across(o, x)
-        at_x, group = whole_x, o.values(by) if by and by in o and by not in o.data.dims else None
-        apart = not by and len(points.split()) + len(lines.split()) > 1
-        for panel, key in zip(grid[0], keys, strict=True):
-
-            def part(name: str, key: Any = key, **more: Any) -> tuple[Any, Any]:
-                where = {panels: key, **(at or {}), **more}
-                where = {dim: one for dim, one in where.items() if dim and dim in o.dims(name)}
-                some = ... if group is None or by not in more else group == more[by]
-                return o.values(name, **where)[some], o.errors(name, **where)[some]
-
+        members = _keys(o, by)
+        figure, grid = _panels(o, panels, {"sharey": True, "aspect_ratio": 0.5} | size)
+        all_x, ticks = _axis(o, x)
+        groups = o.values(by) if by and by in o and by not in o.data.dims else None
+        coloured = not by and len(points.split()) + len(lines.split()) > 1
+        for panel, coordinates in grid:
             if level is not None:
                 panel.axhline(level, color=INK, linewidth=0.8)
                 panel.axhspan(level - band, level + band, color=SHADE, linewidth=0, zorder=0)
-            for k, member in enumerate(drawn):
-                where = {by: member} if by else {}
-                at_x = whole_x if group is None else whole_x[group == member]
-                for n, name in enumerate(one for one in lines.split() if one in o):
+            for number, member in enumerate(members):
+                chosen = ... if groups is None or not by else groups == member
+                where = {**coordinates, **(at or {}), **({by: member} if by else {})}
+                member_x = all_x[chosen]
+                for k, name in enumerate(name for name in lines.split() if name in o):
                     shared = _shared(o, name, by)
-                    if not shared or k == 0:
-                        colour = INK if shared else PALETTE[n if apart else k]
-                        panel.plot(at_x, part(name, **where)[0], color=colour, linewidth=1.1)
-                for n, name in enumerate(one for one in points.split() if one in o):
-                    value, error = part(name, **where)
-                    style = n if apart else k
-                    beside = _beside(at_x, k, len(drawn), log) if level is not None else at_x
+                    if not shared or number == 0:
+                        colour = INK if shared else PALETTE[k if coloured else number]
+                        panel.plot(member_x, o.values(name, **_of(o, name, where))[chosen], color=colour, linewidth=1.1)
+                for k, name in enumerate(name for name in points.split() if name in o):
+                    error = o.errors(name, **_of(o, name, where))[chosen]
+                    style = k if coloured else number
                     panel.errorbar(
-                        beside,
-                        value,
+                        _offset(member_x, number, len(members), log) if level is not None else member_x,
+                        o.values(name, **_of(o, name, where))[chosen],
                         error if np.isfinite(error).any() else None,
                         fmt=MARKERS[style],
                         color=PALETTE[style],
                         markerfacecolor="white",
                         linewidth=0.9,
                     )
+            where = {**coordinates, **(at or {})}
             if floor and floor in o:
-                bound = part(floor)[0]
-                panel.plot(at_x, bound, color=INK, linewidth=1.0)
-                panel.fill_between(at_x, 1e-9 if "y" in log else 0.0, bound, color=SHADE, linewidth=0, zorder=0)
+                bound = o.values(floor, **_of(o, floor, where))
+                panel.plot(member_x, bound, color=INK, linewidth=1.0)
+                panel.fill_between(member_x, 1e-9 if "y" in log else 0.0, bound, color=SHADE, linewidth=0, zorder=0)
                 panel.set_ylim(0.75 * np.nanmin(o.values(floor)) if "y" in log else 0.0, None)
             if dashes and dashes in o:
-                value, shown = float(part(dashes)[0]), o.quantity(dashes)
+                value, published = float(o.values(dashes, **_of(o, dashes, where))), o.quantity(dashes)
                 panel.axhline(value, color=GREY, linewidth=0.9, dashes=(5, 3))
-                words = f"{shown.label[:1].lower()}{shown.label[1:]} {value:{shown.format or 'g'}}"
-                panel.text(at_x[-1], value, words, ha="right", va="bottom")
-            panel.set(xlabel=o.heading(x), title=o.label(panels, key) if panels else "")
+                words = f"{published.label[:1].lower()}{published.label[1:]} {value:{published.format or 'g'}}"
+                panel.text(member_x[-1], value, words, ha="right", va="bottom")
+            panel.set(xlabel=o.heading(x))
             for letter in log:
                 panel.set(**{f"{letter}scale": "log"})
                 log_ticks(panel, "x" if letter == "x" else "y")
             if ticks:
-                panel.set_xticks(at_x, ticks)
-        first = next(o.quantity(one) for one in (points or lines).split() if one in o)
+                panel.set_xticks(member_x, ticks)
+        first = next(o.quantity(name) for name in (points or lines).split() if name in o)
         grid[0][0].set_ylabel(replace(first, label=y or first.label).heading)
         black = [name for name in (*lines.split(), floor) if name in o and (name == floor or _shared(o, name, by))]
-        _legend(o, figure, by, drawn, (points, lines) if apart else ("", ""), black)
+        _legend(o, figure, by, members, (points, lines) if coloured else ("", ""), black)
         return figure
 
     return _named(draw, points, lines, floor)
@@ -134,38 +127,36 @@ def curves(
 def bars(
     dim: str, *, bars: str, points: str = "", marks: str = "", by: str = "", panels: str = "", **size: Any
 ) -> Drawing:
-    """Quantities along ``dim`` as bars, those of ``by`` next to each other.
+    """Quantities along ``dim`` as bars, for each coordinate of ``by``.
 
     ``points`` (predictions) are circles, ``marks`` (published) grey diamonds; without ``bars`` the points are the bars.
     """
 
     def draw(o: Outcome) -> Figure:
-        from experiments.harness.plotting import INK, PALETTE, new_figure
+        from experiments.harness.plotting import INK, PALETTE
 
-        long, circles = (bars, points) if bars in o else (points, "")
-        keys, members = _keys(o, panels), _keys(o, by)
-        figure, grid = new_figure(1, len(keys), sharey=True, squeeze=False, **({"aspect_ratio": 0.36} | size))
-        place, thick = -np.arange(o.data.sizes[dim], dtype=float), 0.7 / len(members)
-        for panel, key in zip(grid[0], keys, strict=True):
-            for k, (member, colour) in enumerate(zip(members, PALETTE, strict=False)):
-                at = {name: value for name, value in ((panels, key), (by, member)) if name}
-                beside = place - thick * (k - (len(members) - 1) / 2)
-                label = o.label(by, member) if by else o.quantity(long).label
-                panel.barh(beside, o.values(long, **at), height=thick, color=colour, alpha=0.85, label=label)
-                for name, shape, ink in ((circles, "o", INK), (marks, "D", GREY)):
-                    if name and name in o:
-                        style = {"color": ink, "markerfacecolor": "white", "markersize": 4, "linestyle": ""}
-                        own = o.quantity(name).label if k == 0 else None
-                        its = {dim: value for dim, value in at.items() if dim in o.dims(name)}
-                        panel.plot(o.values(name, **its), beside, marker=shape, label=own, **style)
-            panel.set_yticks(place, o.names(dim))
-            if len(place) < 3:
-                panel.set_ylim(place.mean() - 1.5, place.mean() + 1.5)
+        length, circles = (bars, points) if bars in o else (points, "")
+        markers = [(name, *style) for name, *style in ((circles, "o", INK), (marks, "D", GREY)) if name and name in o]
+        members = _keys(o, by)
+        figure, grid = _panels(o, panels, {"sharey": True, "aspect_ratio": 0.36} | size)
+        row, height = -np.arange(o.data.sizes[dim], dtype=float), 0.7 / len(members)
+        for panel, coordinates in grid:
+            for number, (member, colour) in enumerate(zip(members, PALETTE, strict=False)):
+                where = {**coordinates, **({by: member} if by else {})}
+                member_row = row - height * (number - (len(members) - 1) / 2)
+                label = o.label(by, member) if by else o.quantity(length).label
+                panel.barh(member_row, o.values(length, **where), height=height, color=colour, alpha=0.85, label=label)
+                for name, shape, ink in markers:
+                    style = {"color": ink, "markerfacecolor": "white", "markersize": 4, "linestyle": ""}
+                    named = o.quantity(name).label if number == 0 else None
+                    panel.plot(o.values(name, **_of(o, name, where)), member_row, marker=shape, label=named, **style)
+            panel.set_yticks(row, o.names(dim))
+            if len(row) < 3:
+                panel.set_ylim(row.mean() - 1.5, row.mean() + 1.5)
             panel.grid(visible=False, axis="y")
-            low = min(0.0, float(np.nanmin(o.values(long))))
-            compared = any(name and name in o for name in (circles, marks))
-            heading = o.heading(long).removeprefix(o.quantity(long).label if compared else "")
-            panel.set(title=o.label(panels, key) if panels else "", xlabel=heading.strip(), xlim=(low or 0, None))
+            low = min(0.0, float(np.nanmin(o.values(length))))
+            heading = o.heading(length).removeprefix(o.quantity(length).label if markers else "")
+            panel.set(xlabel=heading.strip(), xlim=(low or 0, None))
         handles, labels = grid[0][0].get_legend_handles_labels()
         if len(handles) > 1:
             figure.legend(handles, labels, loc="outside lower center", ncols=4)
@@ -175,7 +166,7 @@ def bars(
 
 
 def maps(name: str, *, place: str = "", panels: str = "", zero: bool = False, **size: Any) -> Drawing:
-    """A quantity over two dimensions (row, column) as colours; with ``place``, (n, 2), as coloured points at places.
+    """A quantity over two dimensions (row, column) as colours; with positions ``place``, (n, 2), as coloured points.
 
     ``zero`` centres a two-coloured scale on zero.
     """
@@ -183,65 +174,60 @@ def maps(name: str, *, place: str = "", panels: str = "", zero: bool = False, **
     def draw(o: Outcome) -> Figure:
         from matplotlib.colors import Normalize
 
-        from experiments.harness.plotting import new_figure
-
-        keys = _keys(o, panels)
-        figure, grid = new_figure(1, len(keys), squeeze=False, **({"aspect_ratio": 0.5} | size))
-        whole = o.values(name).astype(float)
-        reach = float(np.nanmax(np.abs(whole)))
-        low, high = (-reach, reach) if zero else (float(np.nanmin(whole)), float(np.nanmax(whole)))
+        figure, grid = _panels(o, panels, {"aspect_ratio": 0.5} | size)
+        values = o.values(name).astype(float)
+        largest = float(np.nanmax(np.abs(values)))
+        low, high = (-largest, largest) if zero else (float(np.nanmin(values)), float(np.nanmax(values)))
         style = {"cmap": "RdBu_r" if zero else "viridis", "norm": Normalize(low, high)}
-        for panel, key in zip(grid[0], keys, strict=True):
-            one = o.quantity(name, **({panels: key} if panels else {}))
+        for panel, where in grid:
+            quantity = o.quantity(name, **where)
             if place:
-                at = o.values(place, **({panels: key} if panels in o.quantity(place).dims else {}))
-                drawn = panel.scatter(*at.reshape(-1, 2).T, c=np.ravel(one.values), s=14, **style)
+                position = o.values(place, **_of(o, place, where)).reshape(-1, 2)
+                colours = panel.scatter(*position.T, c=np.ravel(quantity.values), s=14, **style)
                 panel.set(xlabel="x [px]", ylabel="y [px]", aspect="equal")
                 panel.invert_yaxis()
             else:
-                down, across = one.dims
-                (at_y, words_y), (at_x, words_x) = (_across(o, dim) for dim in (down, across))
-                drawn = panel.pcolormesh(at_x, at_y, one.values.astype(float), shading="nearest", **style)
-                panel.set(xlabel=o.heading(across), ylabel=o.heading(down))
-                if words_x:
-                    panel.set_xticks(at_x, words_x, rotation=90)
-                    panel.set(yticks=at_y, yticklabels=words_y, aspect="equal")
+                (y, rows), (x, columns) = (_axis(o, dim) for dim in quantity.dims)
+                colours = panel.pcolormesh(x, y, quantity.values.astype(float), shading="nearest", **style)
+                panel.set(xlabel=o.heading(quantity.dims[1]), ylabel=o.heading(quantity.dims[0]))
+                if columns:
+                    panel.set_xticks(x, columns, rotation=90)
+                    panel.set(yticks=y, yticklabels=rows, aspect="equal")
                     panel.invert_yaxis()
             panel.grid(visible=False)
-            panel.set_title(o.label(panels, key) if panels else "")
-        figure.colorbar(drawn, ax=list(grid[0]), label=o.heading(name), shrink=0.85)
+        figure.colorbar(colours, ax=[panel for panel, _ in grid], label=o.heading(name), shrink=0.85)
         return figure
 
     return _named(draw, name, place)
 
 
 def cloud(name: str, *, ellipses: str = "", panels: str = "", at: dict[str, Any] | None = None) -> Drawing:
-    """Places (..., axis) about zero; quantities as circles, or (axis) as half-axes of ellipses.
+    """Vectors (..., axis) as points about zero; quantities as circles, or (axis) as semi-axes of ellipses.
 
     ``at``: coordinates or positions of the ellipses.
     """
 
     def draw(o: Outcome) -> Figure:
-        from experiments.harness.plotting import INK, PALETTE, new_figure
+        from experiments.harness.plotting import INK, PALETTE
 
-        keys, width = _keys(o, panels), {"aspect_ratio": 0.6} if panels else {"width": "half", "aspect_ratio": 1.0}
-        figure, grid = new_figure(1, len(keys), sharex=True, sharey=True, squeeze=False, **width)
-        turn, unit = np.linspace(0, 2 * np.pi, 181), o.heading(name).partition("[")[2]
-        reach = float(np.nanmax(np.abs(o.values(name))))
-        for panel, key in zip(grid[0], keys, strict=True):
-            here = {panels: key} if panels else {}
-            dots = o.values(name, **here).reshape(-1, 2)
-            size, alpha = (1.6, 0.5) if len(dots) > 300 else (5.0, 0.9)
-            panel.plot(*dots.T, ".", color=PALETTE[0], markersize=size, alpha=alpha)
-            for one, colour in zip((e for e in ellipses.split() if e in o), (PALETTE[1], INK), strict=False):
-                half = o.quantity(one)
-                where = {dim: _position(o, dim, k) for dim, k in {**here, **(at or {})}.items() if dim in half.dims}
-                x, y = np.broadcast_to(half.at(**where).values, 2)
-                reach = max(reach, float(x), float(y))
-                panel.plot(x * np.cos(turn), y * np.sin(turn), color=colour, label=half.label)
-            panel.set(xlabel=f"x [{unit}", aspect="equal", title=o.label(panels, key) if panels else "")
-        ends = (-1.1 * reach, 1.1 * reach)
-        grid[0][0].set(ylabel=f"y [{unit}", xlim=ends, ylim=ends)
+        width = {"aspect_ratio": 0.6} if panels else {"width": "half", "aspect_ratio": 1.0}
+        figure, grid = _panels(o, panels, {"sharex": True, "sharey": True} | width)
+        angle, unit = np.linspace(0, 2 * np.pi, 181), o.heading(name).partition("[")[2]
+        largest = float(np.nanmax(np.abs(o.values(name))))
+        for panel, coordinates in grid:
+            vectors = o.values(name, **coordinates).reshape(-1, 2)
+            size, alpha = (1.6, 0.5) if len(vectors) > 300 else (5.0, 0.9)
+            panel.plot(*vectors.T, ".", color=PALETTE[0], markersize=size, alpha=alpha)
+            for ellipse, colour in zip((e for e in ellipses.split() if e in o), (PALETTE[1], INK), strict=False):
+                semi_axis = o.quantity(ellipse)
+                where = _of(o, ellipse, {**coordinates, **(at or {})})
+                where = {dim: _position(o, dim, coordinate) for dim, coordinate in where.items()}
+                x, y = np.broadcast_to(semi_axis.at(**where).values, 2)
+                largest = max(largest, float(x), float(y))
+                panel.plot(x * np.cos(angle), y * np.sin(angle), color=colour, label=semi_axis.label)
+            panel.set(xlabel=f"x [{unit}", aspect="equal")
+        limits = (-1.1 * largest, 1.1 * largest)
+        grid[0][0].set(ylabel=f"y [{unit}", xlim=limits, ylim=limits)
         if ellipses:
             figure.legend(*grid[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
         return figure
@@ -250,35 +236,33 @@ def cloud(name: str, *, ellipses: str = "", panels: str = "", at: dict[str, Any]
 
 
 def arrows(place: str, *vectors: str, panels: str = "", frame: str = "", longest: float = 0.08, **size: Any) -> Drawing:
-    """Vectors (..., axis) at places (..., axis) on the detector, one panel per quantity or coordinate of ``panels``.
+    """Vectors (..., axis) at positions (..., axis) on the detector, one panel per quantity or coordinate of ``panels``.
 
-    ``frame`` is a quantity (width, height) whose edge is drawn; the longest arrow is ``longest`` of the reach.
+    ``frame`` is a quantity (width, height) whose edge is drawn; the longest arrow is ``longest`` of the width.
     """
 
     def draw(o: Outcome) -> Figure:
         from experiments.harness.plotting import PALETTE, new_figure
         from experiments.harness.quantities import shown_unit
 
-        shown = [(one, key) for one in vectors for key in _keys(o, panels)]
-        shape = {"aspect_ratio": 0.7 if len(shown) == 1 else 0.5} | size
-        figure, grid = new_figure(1, len(shown), sharey=True, squeeze=False, **shape)
-        for panel, (name, key) in zip(grid[0], shown, strict=True):
-            at = {panels: key} if panels else {}
-            error = o.quantity(name, **at)
-            where = o.values(place, **(at if panels in o.quantity(place).dims else {})).reshape(-1, 2)
-            corner = o.values(frame) if frame else where.max(0)
-            vector = error.values.reshape(-1, 2)
-            top = float(np.nanmax(np.linalg.norm(vector, axis=1)))
-            scale = (top or 1.0) / (longest * float(corner[0] if frame else np.ptp(where[:, 0])))
+        drawn = [(name, where) for name in vectors for where in _coordinates(o, panels)]
+        shape = {"aspect_ratio": 0.7 if len(drawn) == 1 else 0.5} | size
+        figure, grid = new_figure(1, len(drawn), sharey=True, squeeze=False, **shape)
+        for panel, (name, where) in zip(grid[0], drawn, strict=True):
+            quantity = o.quantity(name, **where)
+            position = o.values(place, **_of(o, place, where)).reshape(-1, 2)
+            vector = quantity.values.reshape(-1, 2)
+            largest = float(np.nanmax(np.linalg.norm(vector, axis=1)))
+            width = float(o.values(frame)[0] if frame else np.ptp(position[:, 0]))
+            scale = (largest or 1.0) / (longest * width)
             style = {"angles": "xy", "scale_units": "xy", "scale": scale, "width": 0.004, "color": PALETTE[0]}
-            panel.quiver(*where.T, *vector.T, **style)
+            panel.quiver(*position.T, *vector.T, **style)
             if frame:
-                x, y = ((-0.5, float(end) - 0.5) for end in corner)
+                x, y = ((-0.5, float(pixels) - 0.5) for pixels in o.values(frame))
                 panel.plot([x[0], x[1], x[1], x[0], x[0]], [y[0], y[0], y[1], y[1], y[0]], color=GREY, linewidth=0.8)
-            label = o.label(panels, key) if panels else error.label
-            panel.set(
-                xlabel="column [px]", aspect="equal", title=f"{label}: longest {top:.2g} {shown_unit(error.unit)}"
-            )
+            label = o.label(panels, where[panels]) if panels else quantity.label
+            title = f"{label}: longest {largest:.2g} {shown_unit(quantity.unit)}"
+            panel.set(xlabel="column [px]", aspect="equal", title=title)
             panel.grid(visible=False)
         grid[0][0].set_ylabel("row [px]")
         grid[0][0].invert_yaxis()
@@ -288,13 +272,28 @@ def arrows(place: str, *vectors: str, panels: str = "", frame: str = "", longest
 
 
 def _named(draw: Any, *names: str) -> Drawing:
-    draw.names = tuple(one for text in names for one in text.split())
+    draw.names = tuple(name for text in names for name in text.split())
     drawing: Drawing = draw
     return drawing
 
 
+def _panels(o: Outcome, dim: str, options: dict[str, Any]) -> tuple[Figure, list[tuple[Any, dict[str, Any]]]]:
+    """Figure with a titled panel per coordinate of a dimension; its panels, each with its coordinate."""
+    from experiments.harness.plotting import new_figure
+
+    where = _coordinates(o, dim)
+    figure, grid = new_figure(1, len(where), squeeze=False, **options)
+    for panel, coordinates in zip(grid[0], where, strict=True):
+        panel.set_title(o.label(dim, coordinates[dim]) if dim else "")
+    return figure, list(zip(grid[0], where, strict=True))
+
+
+def _coordinates(o: Outcome, dim: str) -> list[dict[str, Any]]:
+    return [{dim: key} for key in _keys(o, dim)] if dim else [{}]
+
+
 def _keys(o: Outcome, dim: str) -> list[Any]:
-    """Coordinates along a dimension, positions where it has none; a single None without a dimension; or texts."""
+    """Coordinates along a dimension, positions if it has none; a single None without a dimension; or texts."""
     if not dim:
         return [None]
     if dim in o and dim not in o.data.dims:
@@ -302,12 +301,17 @@ def _keys(o: Outcome, dim: str) -> list[Any]:
     return o.data[dim].values.tolist() if dim in o.data.coords else list(range(o.data.sizes[dim]))
 
 
+def _of(o: Outcome, name: str, where: dict[str, Any]) -> dict[str, Any]:
+    """Coordinates along the dimensions that a quantity has."""
+    return {dim: coordinate for dim, coordinate in where.items() if dim in o.dims(name)}
+
+
 def _position(o: Outcome, dim: str, key: Any) -> int:
     return key if isinstance(key, int) else o.data.coords[dim].values.tolist().index(key)
 
 
-def _across(o: Outcome, x: str) -> tuple[Any, list[str]]:
-    """Numbers for an axis, and the names to write there if they are none."""
+def _axis(o: Outcome, x: str) -> tuple[Any, list[str]]:
+    """Numbers for an axis, and the texts of its ticks if they are none."""
     if x not in o:
         return np.arange(o.data.sizes[x], dtype=float) + 1.0, []
     values = o.values(x)
@@ -321,31 +325,32 @@ def _shared(o: Outcome, name: str, by: str) -> bool:
     return by in o.data.dims and by not in o.dims(name)
 
 
-def _beside(at_x: Any, k: int, count: int, log: str) -> Any:
-    """Places moved a little, so that points of several colours do not hide each other."""
-    step = k - (count - 1) / 2
-    return at_x * np.exp(0.02 * step) if "x" in log else at_x + 0.01 * step * float(np.ptp(at_x) or 1.0)
+def _offset(x: Any, number: int, count: int, log: str) -> Any:
+    """Horizontal positions moved a little, so that points of several colours do not hide each other."""
+    step = number - (count - 1) / 2
+    return x * np.exp(0.02 * step) if "x" in log else x + 0.01 * step * float(np.ptp(x) or 1.0)
 
 
-def _legend(o: Outcome, figure: Figure, by: str, drawn: list[Any], kinds: tuple[str, str], black: list[str]) -> None:
+def _legend(o: Outcome, figure: Figure, by: str, members: list[Any], kinds: tuple[str, str], black: list[str]) -> None:
     from matplotlib.lines import Line2D
 
     from experiments.harness.plotting import INK, MARKERS, PALETTE
 
-    points, lines = ([one for one in kind.split() if one in o] for kind in kinds)
+    points, lines = ([o.quantity(name).label for name in kind.split() if name in o] for kind in kinds)
+    styles = list(zip(PALETTE, MARKERS, strict=True))
     handles = []
     if by:
-        named = o.labels(by) if by in o.data.coords else {n: f"{by} {n + 1}" for n in range(o.data.sizes.get(by, 0))}
-        for one, colour, marker in zip(drawn, PALETTE, MARKERS, strict=False):
-            label = named.get(one, one)
+        labels = o.labels(by) if by in o.data.coords else {n: f"{by} {n + 1}" for n in range(o.data.sizes.get(by, 0))}
+        for member, (colour, marker) in zip(members, styles, strict=False):
+            label = labels.get(member, member)
             handles.append(Line2D([], [], color=colour, marker=marker, markerfacecolor="white", label=label))
-    for one, colour, marker in zip(points, PALETTE, MARKERS, strict=False):
+    for label, (colour, marker) in zip(points, styles, strict=False):
         style: dict[str, Any] = {"marker": marker, "markerfacecolor": "white", "linestyle": ""}
-        handles.append(Line2D([], [], color=colour, label=o.quantity(one).label, **style))
-    for one, colour in zip(lines, PALETTE, strict=False):
-        handles.append(Line2D([], [], color=colour, linewidth=1.1, label=o.quantity(one).label))
+        handles.append(Line2D([], [], color=colour, label=label, **style))
+    for label, (colour, _) in zip(lines, styles, strict=False):
+        handles.append(Line2D([], [], color=colour, linewidth=1.1, label=label))
     handles += [Line2D([], [], color=INK, linewidth=1.0, label=o.quantity(name).label) for name in black]
     if handles:
-        long = max(len(str(one.get_label())) for one in handles) > 14
-        most = 2 if long and figure.get_figwidth() < 5.0 else 4  # half a page holds two long names
-        figure.legend(handles=handles, loc="outside lower center", ncols=min(most, len(handles)))
+        wide = max(len(str(handle.get_label())) for handle in handles) > 14
+        columns = 2 if wide and figure.get_figwidth() < 5.0 else 4  # half a page has room for two long names
+        figure.legend(handles=handles, loc="outside lower center", ncols=min(columns, len(handles)))
