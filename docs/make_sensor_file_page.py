@@ -16,7 +16,7 @@ from pydantic import BaseModel
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from experiments.harness.config import ExperimentConfig
-from experiments.harness.registry import found
+from experiments.harness.registry import experiment_names
 from experiments.harness.settings_text import about, toml_value
 from experiments.laboratory.settings.collimator import FilteredCollimatorConfig
 from experiments.laboratory.settings.sensor_file import SensorConfig
@@ -138,7 +138,7 @@ def takers() -> Iterator[str]:
     """What each experiment takes, one row each."""
     yield "| experiment | takes |"
     yield "|---|---|"
-    for name in found():
+    for name in experiment_names():
         config: type[ExperimentConfig] = import_module(f"experiments.{name}.settings").experiment.config
         common = [key for key in SensorConfig.model_fields if key in config.model_fields]
         whole = {key for key in common if hasattr(SensorConfig.model_fields[key].annotation, "model_fields")}

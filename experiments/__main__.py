@@ -9,7 +9,7 @@ import click
 from click.shell_completion import get_completion_class
 
 from experiments.harness.interrupts import invoke
-from experiments.harness.registry import Commands, found, version_option
+from experiments.harness.registry import Commands, experiment_names, version_option
 
 COMMANDS = {
     "all": ("experiments.harness.together:run_all", "run every experiment and write a page that links the reports"),
@@ -46,7 +46,7 @@ Run all: starbench --all [--quick] [--out DIR]
 def _list(context: click.Context, names: bool, **options: bool) -> None:
     del options
     if names:
-        click.echo("\n".join(found()))
+        click.echo("\n".join(experiment_names()))
     elif context.invoked_subcommand is None:
         click.echo(context.get_help())
 
@@ -86,7 +86,7 @@ starbench = Commands(
 def main(argv: Sequence[str], *, own_process: bool = False) -> int:
     """Exit status of a command line; ``--all`` stands for the command ``all``."""
     words = ["all", *(word for word in argv if word != "--all")] if "--all" in argv else list(argv)
-    return invoke(starbench, words, prog="starbench", alone=own_process)
+    return invoke(starbench, words, prog="starbench", own_process=own_process)
 
 
 def console() -> int:

@@ -273,4 +273,4 @@ def check_disk() -> Iterator[Finding]:
 
 
 if __name__ == "__main__":
-    sys.exit(invoke(doctor, None, prog="starbench doctor", alone=True))
+    sys.exit(invoke(doctor, None, prog="starbench doctor", own_process=True))

@@ -197,4 +197,4 @@ def _catalogue(header: fits.Header, shape: tuple[int, int], faintest_mag: float)
 
 
 if __name__ == "__main__":
-    sys.exit(invoke(frame, None, prog="starbench frame", alone=True))
+    sys.exit(invoke(frame, None, prog="starbench frame", own_process=True))

@@ -12,7 +12,7 @@ from experiments.camera.operation import RATE, in_motion, life_line, over_life
 from experiments.camera.settings import Config
 from experiments.harness.progress import Progress
 from experiments.harness.sections import numbers_of
-from experiments.harness.system import aside, prompt_import
+from experiments.harness.system import forked, prompt_import
 from experiments.harness.what_if import judge
 from experiments.laboratory.bench.checks import focus_remark
 from experiments.laboratory.sensor_prediction import CameraPrediction, longest_trail_px, predict_camera
@@ -40,7 +40,7 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     first = 8 if late else 9  # what needs no further prediction
     progress.answer("\n".join(lines([])[:first]))
     found: list[Swing] = []
-    with aside(partial(temperatures, config), niceness=3) as over_temperature:
+    with forked(partial(temperatures, config), niceness=3) as over_temperature:
         if config.tornado.parameters:
             keys = parameters(config, prediction)
             with progress.stage("what to change", total=1 + 2 * len(keys)) as stage:

@@ -371,7 +371,7 @@ main = command(experiment)
 @click.argument("folder", metavar="FOLDER_OR_URL")
 def check(folder: str) -> int:
     """0 if every file is as it was written, 1 if not."""
-    interrupts.at_once, interrupts.said = False, lambda: "interrupted; nothing was changed"
+    interrupts.at_once, interrupts.message = False, lambda: "interrupted; nothing was changed"
     checked = experiment.part("remote:check_at")(folder)
     click.echo("\n".join(checked.lines()))
     return EXIT_FAILED if checked.damaged or checked.missing else EXIT_GOOD

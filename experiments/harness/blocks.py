@@ -33,7 +33,7 @@ class Figure:
 
     drawing: Drawing | str | bytes  # A figure (`plotting.new_figure`), an ``<svg>`` element, or the bytes of a PNG file
     caption: str  # What is shown and what to see in it; ``*`` as in `Text`
-    alt: str = ""  # For those who cannot see it; the caption if left empty
+    alt: str = ""  # Text in its place; the caption if left empty
     raster: bool = False  # Store a matplotlib figure as PNG: for tens of thousands of marks
 
 
@@ -46,49 +46,46 @@ class Equation:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
-    """Two (or three) blocks side by side: figures of width "half", small tables."""
+class FigureRow:
+    """Two or three blocks side by side: figures of width "half", small tables."""
 
     blocks: Sequence[Figure | Table]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KeyNumber:
-    """A number shown large at the top."""
+    """A large number at the top of the report."""
 
-    label: str  # What it is, in a few words
-    value: float | int | str | Measured  # The number
-    unit: str = ""  # Its unit, as printed
-    format: str = ""  # Format of a plain float
-    note: str = ""  # A few small words beneath, e.g. "published 0.12 px"
+    label: str
+    value: float | int | str | Measured
+    unit: str = ""  # As printed
+    format: str = ""  # Of a plain float
+    note: str = ""  # Small print under it, e.g. "published 0.12 px"
 
 
 class Artist:
-    """Turns figures and equations into markup and counts them, so that ids stay apart."""
+    """Turns figures and equations into markup and numbers them, so that their ids differ."""
 
     def __init__(self, figures: Sequence[Figure]) -> None:
-        wide = 1.1 * WIDTH_IN["half"]
-        self._half = {
-            id(one) for one in figures if isinstance(one.drawing, Drawing) and one.drawing.get_figwidth() <= wide
-        }
         with house_style():
-            drawn = shared(_markup, list(enumerate(figures, 1)))
-        self._drawn = {id(figure): one for figure, one in zip(figures, drawn, strict=True)}
+            markup = shared(_markup, list(enumerate(figures, 1)))
+        self._markup = {id(figure): text for figure, text in zip(figures, markup, strict=True)}
         self.figure_number, self.table_number, self._equation_number = (count(1).__next__ for _ in range(3))
 
     def figure(self, figure: Figure) -> Markup:
-        return Markup(self._drawn[id(figure)])
+        return Markup(self._markup[id(figure)])
 
     def equation(self, equation: Equation) -> Markup:
         return Markup(equation_svg(equation.latex, prefix=f"eq{self._equation_number()}"))
 
-    def half(self, figure: Figure) -> bool:
-        """Whether a figure was made for half the width of the text."""
-        return id(figure) in self._half
+    @staticmethod
+    def half(figure: Figure) -> bool:
+        """Whether a figure fits half the width of the text."""
+        return isinstance(figure.drawing, Drawing) and figure.drawing.get_figwidth() <= 1.1 * WIDTH_IN["half"]
 
 
 def _markup(numbered: tuple[int, Figure]) -> str:
-    """A figure as HTML; its number keeps its ids apart from other figures'."""
+    """A figure as HTML, its ids prefixed by its number."""
     number, figure = numbered
     drawing = figure.drawing
     if isinstance(drawing, Drawing) and not figure.raster:
@@ -110,26 +107,26 @@ def _markup(numbered: tuple[int, Figure]) -> str:
 
 
 def _narrow_too(drawing: Drawing, prefix: str) -> str:
-    """The figure once more for narrow screens; "" where it cannot be so narrow, of which matplotlib warns."""
+    """A version of the figure for narrow screens; "" if it cannot be so narrow, of which matplotlib warns."""
     with warnings.catch_warnings():
         warnings.simplefilter("error", UserWarning)
         try:
-            again = figure_svg(drawing, prefix=prefix) if narrow(drawing) else ""
+            svg = figure_svg(drawing, prefix=prefix) if narrow(drawing) else ""
         except UserWarning:
             return ""
-    return again.replace("<svg", '<svg class="narrow" aria-hidden="true"', 1)
+    return svg.replace("<svg", '<svg class="narrow" aria-hidden="true"', 1)
 
 
 def _in_parts(svg: str, parts: Sequence[tuple[float, float]]) -> str:
-    """The parts of a figure in rows of their own, for narrow screens: the same drawing through several windows."""
+    """Parts of a figure below each other, for narrow screens: the same drawing through several windows."""
     box = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', svg)
-    drawn = re.search(r'<g id="([^"]+)"', svg)
-    if box is None or drawn is None:
+    group = re.search(r'<g id="([^"]+)"', svg)
+    if box is None or group is None:
         return ""
     width, height = float(box[1]), float(box[2])
     windows = (
-        f'<svg class="part" viewBox="{left * width:.1f} 0 {(right - left) * width:.1f} {height:g}" aria-hidden="true">'
-        f'<use href="#{drawn[1]}"/></svg>'
-        for left, right in parts
+        f'<svg class="part" viewBox="{start * width:.1f} 0 {(end - start) * width:.1f} {height:g}" aria-hidden="true">'
+        f'<use href="#{group[1]}"/></svg>'
+        for start, end in parts
     )
     return "".join(windows)

@@ -36,10 +36,10 @@ class Main(click.Group):
 
     def __call__(self, argv: Sequence[str] | None = None, *, own_process: bool | None = None) -> int:
         """Run a command line; ``own_process``: whether the process ends with it, as it does without ``argv``."""
-        alone = argv is None if own_process is None else own_process
-        return invoke(self, argv, prog=f"python -m experiments.{self.name}", alone=alone)
+        own_process = argv is None if own_process is None else own_process
+        return invoke(self, argv, prog=f"python -m experiments.{self.name}", own_process=own_process)
 
-    def _run(self, context: click.Context, schema: bool, defaults: str | None, **given: Any) -> int | None:
+    def _run(self, context: click.Context, schema: bool, defaults: str | None, **values: Any) -> int | None:
         if context.invoked_subcommand is not None:
             return None
         if schema:
@@ -47,11 +47,11 @@ class Main(click.Group):
             return None
         short = {}
         for name, (key, _) in _shorts(self.experiment).items():
-            if (value := given.pop(_parameter(name))) not in (None, ()):
+            if (value := values.pop(_parameter(name))) not in (None, ()):
                 short[name] = f"{key}={value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)}"
-        options = Options(short=short, **given)
+        options = Options(short=short, **values)
         if defaults is not None:
-            click.echo(_defaults(self.experiment, options, whole=defaults == "all"), nl=False)
+            click.echo(_defaults(self.experiment, options, complete=defaults == "all"), nl=False)
             return None
         progress = terminal_progress()
         progress.say = click.echo
@@ -75,8 +75,8 @@ def _options(experiment: Experiment) -> list[click.Parameter]:
     def keys(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
         from experiments.harness.range import leaf_keys
 
-        known = leaf_keys(experiment.config).items()
-        return [CompletionItem(f"{key}=", help=one.description) for key, one in known if key.startswith(incomplete)]
+        keys = leaf_keys(experiment.config).items()
+        return [CompletionItem(f"{key}=", help=field.description) for key, field in keys if key.startswith(incomplete)]
 
     return [
         click.Option(["--sensor"], metavar="FILE", type=path, multiple=True, help=sensor),
@@ -105,8 +105,8 @@ def _options(experiment: Experiment) -> list[click.Parameter]:
 
 def _shorts(experiment: Experiment) -> dict[str, tuple[str, str]]:
     """Short options of an experiment; ``--frames`` is the number of frames wherever there is such a number."""
-    known = experiment.config.model_fields.get("frames")
-    common = {"frames": ("frames", f"Number of {known.description}.")} if known and known.annotation is int else {}
+    frames = experiment.config.model_fields.get("frames")
+    common = {"frames": ("frames", f"Number of {frames.description}.")} if frames and frames.annotation is int else {}
     return {**common, **experiment.options}
 
 
@@ -116,13 +116,14 @@ def _parameter(option: str) -> str:
 
 def _short(experiment: Experiment, name: str, key: str, text: str) -> click.Option:
     """An option that stands for ``--set KEY=...``: a switch, a repeatable one for a list of text, or text."""
-    known = experiment.config.model_fields.get(key)
-    words = [f"--{name}", _parameter(name)]
-    if known is not None and known.annotation is bool:
-        return click.Option(words, flag_value="true", default=None, help=f"{text} Short for --set {key}=true.")
-    if known is not None and known.annotation == tuple[str, ...]:
-        return click.Option(words, metavar="TEXT", multiple=True, help=f"{text} Repeatable.")
-    return click.Option(words, metavar="TEXT", help=f"{text} Short for --set {key}=TEXT.")
+    field = experiment.config.model_fields.get(key)
+    annotation = None if field is None else field.annotation
+    names = [f"--{name}", _parameter(name)]
+    if annotation is bool:
+        return click.Option(names, flag_value="true", default=None, help=f"{text} Short for --set {key}=true.")
+    if annotation == tuple[str, ...]:
+        return click.Option(names, metavar="TEXT", multiple=True, help=f"{text} Repeatable.")
+    return click.Option(names, metavar="TEXT", help=f"{text} Short for --set {key}=TEXT.")
 
 
 def _help(experiment: Experiment) -> str:
@@ -132,19 +133,19 @@ def _help(experiment: Experiment) -> str:
         parts.append(f"Takes {experiment.takes} on two cores.")
     if experiment.examples:
         start = f"  python -m experiments.{experiment.name}"
-        lines = [f"{start} {line}\n      {does}" for line, does in experiment.examples.items()]
+        lines = [f"{start} {line}\n      {meaning}" for line, meaning in experiment.examples.items()]
         parts.append("\b\n" + "\n".join(["Examples:", *lines]))
     return "\n\n".join(parts)
 
 
-def _defaults(experiment: Experiment, options: Options, *, whole: bool) -> str:
-    """The configuration as a file: the sensor that it runs with, or all of it."""
+def _defaults(experiment: Experiment, options: Options, *, complete: bool) -> str:
+    """The configuration as a file: its sensor, or all of it."""
     from experiments.harness.settings_text import toml_text
 
     if len(options.sensor) > 1:
         raise ConfigError("--defaults writes one sensor: give one --sensor")
     config = configuration(experiment, options)
-    sensor = None if whole else config.as_sensor(Path(options.sensor[0]) if options.sensor else None)
+    sensor = None if complete else config.as_sensor(Path(options.sensor[0]) if options.sensor else None)
     run = f"python -m experiments.{experiment.name}"
     if sensor is None:
         return toml_text(config, f"All settings of the experiment {experiment.name}: {run} --config THIS_FILE")
@@ -152,7 +153,8 @@ def _defaults(experiment: Experiment, options: Options, *, whole: bool) -> str:
     return toml_text(sensor, f"A sensor file: {run} --sensor THIS_FILE; {more}")
 
 
-def _show(run: ExperimentRun, shown: str) -> None:
+def _show(run: ExperimentRun, folder: str) -> None:
+    """Tables, criteria and verdict on the terminal."""
     from rich.console import Console
 
     from experiments.harness.summary import criteria_lines, verdict_line
@@ -164,8 +166,9 @@ def _show(run: ExperimentRun, shown: str) -> None:
             console.print(to_rich(run.tables[name], console.width), "")
     for line in criteria_lines(run.criteria):
         console.print(line, style="red" if line.startswith("NO ") else None, highlight=False, markup=False)
-    for one in run.criteria:
-        if one.advice and one.failed:
-            console.print(f"{one.name}: {one.advice}", style="red", highlight=False, markup=False, soft_wrap=True)
+    for criterion in run.criteria:
+        if criterion.advice and criterion.failed:
+            text = f"{criterion.name}: {criterion.advice}"
+            console.print(text, style="red", highlight=False, markup=False, soft_wrap=True)
     console.print(verdict_line(run.criteria, run.experiment.judged), style="bold", highlight=False)
-    console.print(f"report: {shown.rstrip('/') or ''}/report.html", highlight=False, soft_wrap=True)
+    console.print(f"report: {folder.rstrip('/')}/report.html", highlight=False, soft_wrap=True)

@@ -30,7 +30,8 @@ OddPx = Annotated[int, AfterValidator(_odd)]
 
 AngleDeg = Annotated[float, Field(ge=-360, le=360)]
 """Type of an angle in a list of them."""
-PlacePx = Annotated[float, Field(ge=-1e5, le=1e5)]
+
+PositionPx = Annotated[float, Field(ge=-1e5, le=1e5)]
 """Type of a coordinate on a detector in a list of them."""
 Sorted = AfterValidator(lambda values: tuple(sorted(set(values))))
 """Marks a list whose values count once each, in rising order."""
@@ -39,8 +40,7 @@ Sorted = AfterValidator(lambda values: tuple(sorted(set(values))))
 class ExperimentConfig(StrictModel):
     """Base of an experiment's `Config`; its defaults are the published run.
 
-    Every field needs a default and should carry a ``Field(description=...)``: the descriptions appear in error messages
-    and in the JSON schema.
+    Every field needs a default, and a ``Field(description=...)`` for error messages and the JSON schema.
     """
 
     SENSOR_KEYS: ClassVar[Mapping[str, str]] = {}
@@ -56,7 +56,7 @@ class ExperimentConfig(StrictModel):
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Settings that others decide where no layer says anything, such as a lens file its pass band; none here."""
+        """Defaults that follow from other settings, such as a pass band from a lens file; none here."""
         return {}
 
     def remarks(self) -> tuple[str, ...]:
@@ -101,14 +101,14 @@ def load_config(
         tables[str(sensor)] = _as_experiment(model_class).of_sensor(Path(sensor))
     if file is not None:
         tables[str(file)] = read_settings(model_class, file, spellings)
-    texts = [(f"--set {one}", one) for one in settings]
-    texts += [(f"--{name}", one) for name, one in (options or {}).items()]
+    texts = [(f"--set {text}", text) for text in settings]
+    texts += [(f"--{name}", text) for name, text in (options or {}).items()]
     texts += [("--seed", f"seed={seed}")] if seed is not None else []
     assignments = [(source, *_assignment(model_class, source, text, spellings)) for source, text in texts]
 
     def overlaid(values: dict[str, Any]) -> dict[str, Any]:
         for table in tables.values():
-            values = _laid(model_class, values, table)
+            values = _merged(model_class, values, table)
         if file is not None:
             refuse_values(model_class, values, tables[str(file)], str(file))
         for source, key, value in assignments:
@@ -117,7 +117,7 @@ def load_config(
 
     values = overlaid(base)
     if issubclass(model_class, ExperimentConfig) and (implied := model_class.implied(values)):
-        values = overlaid(_laid(model_class, base, implied))
+        values = overlaid(_merged(model_class, base, implied))
     sources = dict.fromkeys(quick or (), "--quick")
     sources |= {key: name for name, table in tables.items() for key in flat(table)}
     for source, key, _ in assignments:
@@ -180,11 +180,11 @@ def _with_value(
     keys, above = key.split("."), value
     for word in reversed(keys):
         above = {word: above}
-    result: dict[str, Any] = _laid(model_class, values, above, where=where, levels=len(keys))
+    result: dict[str, Any] = _merged(model_class, values, above, where=where, levels=len(keys))
     return result
 
 
-def _laid(
+def _merged(
     model_class: type[BaseModel],
     below: Any,
     above: Any,
@@ -193,32 +193,33 @@ def _laid(
     where: str = "",
     levels: int = MOST_LEVELS,
 ) -> Any:
-    """Tables laid over one another, key by key, except where another ``kind`` of table takes the place.
+    """The table ``above`` merged into ``below``, key by key; a table of another ``kind`` replaces it.
 
-    With ``where`` it is a single value that is laid, over items of lists too, and what it cannot lie on is an error.
+    With ``where``, the source of a single value, items of lists are replaced too, and a value without a table that
+    could hold it is an error.
     """
     if not levels or not isinstance(above, Mapping):
         return above
 
-    def entry(old: Any, key: str) -> Any:
-        return _laid(model_class, old, above[key], (*at, key), where=where, levels=levels - 1)
+    def entry(value: Any, key: str) -> Any:
+        return _merged(model_class, value, above[key], (*at, key), where=where, levels=levels - 1)
 
     if where and isinstance(below, (list, tuple)):
         (key,) = above
         if not re.fullmatch(r"\d+", key) or int(key) >= len(below):
             raise ConfigError(f"{where}: {'.'.join(at)} has items 0 to {len(below) - 1}, not {key!r}")
-        return [entry(old, key) if place == int(key) else old for place, old in enumerate(below)]
+        return [entry(item, key) if number == int(key) else item for number, item in enumerate(below)]
     if not isinstance(below, Mapping):
         if where and below is not None:
             raise ConfigError(f"{where}: {'.'.join(at)} = {below!r} is no table; it has no key {next(iter(above))!r}")
         return dict(above)
     if above.get("kind", below.get("kind")) != below.get("kind") and _several_kinds(model_class, at):
-        return dict(above)  # the keys of the other kind mean nothing to this one
+        return dict(above)  # the other kind has other keys
     return {**below, **{key: entry(below.get(key), key) for key in above}}
 
 
 def _several_kinds(model_class: type[BaseModel], keys: Sequence[str]) -> bool:
-    """Whether the table at a key may be one of several models, distinguished by their field ``kind``."""
+    """Whether the table at a key may be of several models, told apart by their field ``kind``."""
     models = [part for part in alternatives(_annotation_at(model_class, keys)) if is_model(part)]
     return len(models) > 1 and all("kind" in model.model_fields for model in models)
 
@@ -227,22 +228,18 @@ def _annotation_at(model_class: type[BaseModel], keys: Sequence[str]) -> Any:
     """Type of the field at a dotted key, or None where the model does not know it."""
     annotations: list[Any] = [model_class]
     for key in keys:
-        found: list[Any] = []
-        for annotation in annotations:
-            for part in alternatives(annotation):
-                if is_model(part):
-                    if key in part.model_fields:
-                        found.append(part.model_fields[key].annotation)
-                elif key.isdigit() and typing.get_origin(part) in (list, tuple):
-                    found.extend(argument for argument in typing.get_args(part) if argument is not Ellipsis)
-        annotations = found
-    if not annotations:
-        return None
-    return typing.Union[tuple(annotations)]  # noqa: UP007  # the members are known at run time only
+        parts = [part for annotation in annotations for part in alternatives(annotation)]
+        annotations = [
+            part.model_fields[key].annotation for part in parts if is_model(part) and key in part.model_fields
+        ]
+        if key.isdigit():
+            items = (typing.get_args(part) for part in parts if typing.get_origin(part) in (list, tuple))
+            annotations += [item for arguments in items for item in arguments if item is not Ellipsis]
+    return typing.Union[tuple(annotations)] if annotations else None  # noqa: UP007  # members known at run time only
 
 
 def _typed(annotation: Any, text: str) -> Any:
-    """The text as a TOML value where the field takes that; otherwise the bare text."""
+    """The text as a TOML value if the field takes that; otherwise the bare text."""
     try:
         value = tomllib.loads(f"value = {text}")["value"]
     except (ValueError, KeyError, RecursionError):  # no TOML, a number of thousands of digits, a thousand brackets

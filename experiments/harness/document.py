@@ -1,24 +1,26 @@
 """``report.html`` from a Markdown template: prose in ``report.md``, tables and figures called by name.
 
 A template is Jinja in Markdown; similar reports extend a common one. Its ``# title`` comes first, then the lead; a
-block quote holds the verdict, ``numbers`` the figures shown large, and every ``## head`` begins a section. Sections
-after the first one with a figure are folded under their headings. In addition to ``config``, ``result``, ``data`` and
-``outcome`` it has
+block quote holds the verdict, ``numbers`` the large figures at the top, and every ``## head`` begins a section.
+Sections after the first one with a figure are folded under their headings. A template has ``config``, ``result``,
+``data``, ``outcome`` and
 
-=========================  ============================================================================================
-``value("q", axis="x")``   a quantity by name; printed with its uncertainty, or in its own format
-``table("name")``          a table of the experiment; ``table("name", Head=[...])`` only the rows with these cells
-``figure("name", ...)``    a drawing: function NAME of the experiment's figures, called with the outcome and the further
-                           arguments; its caption stands in ``{% call figure("name") %} ... {% endcall %}``
-``row(a, b)``              figures or tables side by side ``equation(r"...", note)`` a displayed equation, in
-matplotlib's subset of LaTeX ``numbers(number(...))``   the figures shown large: ``number(label, value, unit, format,
-note)`` ``criteria()``             the table of criteria; it stands after the first section with a figure if not placed
-``x | cell(".3f")``        a number as tables set it; ``x | g`` as %g ``x | digits(2)``          a number with this
-number of significant digits ``x | md``                 text that is Markdown itself; any other text is taken letter by
-letter =========================
-============================================================================================
+===================================  ==================================================================================
+``value("q", axis="x")``             a quantity by name; printed with its uncertainty, or in its own format
+``table("name")``                    a table of the experiment; ``table("name", Head=[...])`` only the rows with these
+                                     cells
+``figure("name", ...)``              a drawing: figure NAME of the sections, drawn with the outcome and the further
+                                     arguments; its caption stands in ``{% call figure("name") %} ... {% endcall %}``
+``row(a, b)``                        figures or tables side by side
+``equation(r"...", note)``           a displayed equation, in matplotlib's subset of LaTeX
+``numbers(number(...))``             the large figures: ``number(label, value, unit, format, note)``
+``criteria()``                       the table of criteria; by default it follows the first section with a figure
+``x | cell(".3f")``, ``x | g``       a number as tables set it; as %g
+``x | digits(2)``                    a number with this number of significant digits
+``x | md``                           text that is Markdown; any other text is taken letter by letter
+===================================  ==================================================================================
 
-Numbers that are printed are set as in tables: real minus signs, powers of ten, value ± uncertainty.
+Printed numbers are set as in tables: real minus signs, powers of ten, value ± uncertainty.
 """
 
 from __future__ import annotations
@@ -26,13 +28,14 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
-from experiments.harness.blocks import Artist, Equation, Figure, KeyNumber, Row
+from experiments.harness.blocks import Artist, Equation, Figure, FigureRow, KeyNumber
 from experiments.harness.glossary import Glossary
 from experiments.harness.quantities import Outcome, Quantity, shown_unit
 from experiments.harness.summary import CRITERIA_NOTE, Criterion, Measured, dumps, percent, verdict_line
@@ -44,18 +47,18 @@ _SPECIAL = re.compile(r"([\\`*_{}\[\]<>#|~&])")
 
 
 @dataclass(frozen=True, slots=True)
-class _Numbers:
+class _KeyNumbers:
     items: Sequence[KeyNumber]
 
 
 @dataclass(frozen=True, slots=True)
-class _Criteria:
+class _CriteriaTable:
     pass
 
 
 @dataclass
 class _Context:
-    """Functions of a template; blocks are kept here, placeholders stand for them in the Markdown."""
+    """Functions of a template; the Markdown holds a placeholder for each block."""
 
     outcome: Outcome
     tables: Mapping[str, Any]
@@ -67,8 +70,8 @@ class _Context:
         return Markup(f"\n\n\ue000{len(self.blocks) - 1}\ue001\n\n")
 
     def value(self, name: str, **at: Any) -> Any:
-        one = self.outcome.quantity(name, **at)
-        return one if not one.dims else one.values
+        quantity = self.outcome.quantity(name, **at)
+        return quantity.values if quantity.dims else quantity
 
     def table(self, name: str, **only: Sequence[Any]) -> Markup:
         if name not in self.tables:
@@ -90,13 +93,13 @@ class _Context:
 
     def row(self, *marks: str, caller: Any = None) -> Markup:
         text = "".join(marks) + (caller() if caller is not None else "")
-        return self._mark(Row([self.blocks[int(number)] for number in re.findall("\ue000(\\d+)\ue001", text)]))
+        return self._mark(FigureRow([self.blocks[int(number)] for number in re.findall("\ue000(\\d+)\ue001", text)]))
 
     def equation(self, latex: str, note: str = "") -> Markup:
         return self._mark(Equation(latex=latex, note=note))
 
     def numbers(self, *items: KeyNumber) -> Markup:
-        return self._mark(_Numbers([one for one in items if one]))
+        return self._mark(_KeyNumbers([item for item in items if item]))
 
     @staticmethod
     def number(label: str, value: Any, unit: str = "", format: str = "", note: Any = "") -> KeyNumber:
@@ -105,17 +108,17 @@ class _Context:
         if isinstance(value, np.generic):
             value = value.item()
         unit = unit or (value.unit if isinstance(value, Measured) else "")
-        return KeyNumber(label=label, value=value, unit=shown_unit(unit), format=format, note=str(_shown(note)))
+        return KeyNumber(label=label, value=value, unit=shown_unit(unit), format=format, note=str(_printed(note)))
 
     def criteria(self) -> Markup:
-        return self._mark(_Criteria())
+        return self._mark(_CriteriaTable())
 
 
 def _plain(text: str) -> str:
     return " ".join(re.sub(r"\\(.)|[*`]", r"\1", text).split())
 
 
-def _shown(value: Any) -> Any:
+def _printed(value: Any) -> Any:
     """What ``{{ value }}`` prints."""
     if isinstance(value, Markup):
         return value
@@ -133,28 +136,29 @@ def _cell(value: Any, format: str = "") -> Markup:
 
 
 def _digits(value: Any, digits: int = 2) -> Markup:
-    plain = value.values.item() if isinstance(value, Quantity) else value
-    return Markup(significant(plain.value if isinstance(plain, Measured) else float(plain), digits))
+    number = value.values.item() if isinstance(value, Quantity) else value
+    return Markup(significant(number.value if isinstance(number, Measured) else float(number), digits))
 
 
 def _general(value: Any) -> Markup:
     return Markup(f"{value:g}".replace("-", "\N{MINUS SIGN}"))
 
 
+def _environment(folder: Path, **options: Any) -> Any:
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    options |= {"undefined": StrictUndefined, "trim_blocks": True, "lstrip_blocks": True}
+    return Environment(loader=FileSystemLoader(folder), **options)
+
+
 def _typeset(context: _Context, path: Path) -> str:
     """The Markdown of a template, with marks for its blocks."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined, TemplateError
+    from jinja2 import TemplateError
 
-    environment = Environment(
-        loader=FileSystemLoader(path.parent),
-        undefined=StrictUndefined,
-        finalize=_shown,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = _environment(path.parent, finalize=_printed)
     environment.filters |= {"cell": _cell, "g": _general, "digits": _digits, "md": Markup}
-    known = ("value", "table", "figure", "row", "equation", "numbers", "number", "criteria")
-    environment.globals |= {call: getattr(context, call) for call in known}
+    calls = ("value", "table", "figure", "row", "equation", "numbers", "number", "criteria")
+    environment.globals |= {call: getattr(context, call) for call in calls}
     outcome = context.outcome
     try:
         return environment.get_template(path.name).render(
@@ -176,35 +180,33 @@ def render_document(
     folded: bool = True,
 ) -> str:
     """The report as one HTML page without a reference to another file or host; ``folded``: later sections closed."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
     from markdown_it import MarkdownIt
 
-    context = _Context(outcome, {name: one for name, one in tables.items() if isinstance(one, Table)}, draw)
+    context = _Context(outcome, {name: table for name, table in tables.items() if isinstance(table, Table)}, draw)
     text = _typeset(context, path)
     markdown = MarkdownIt("commonmark", {"html": False}).enable("table")
     page, sections = _split(markdown, text, context.blocks, path.name)
     answer = _after_first_figure(sections, context.blocks)
     if folded:
         sections[answer:] = [_folded(section) for section in sections[answer:]]
-    if criteria and not any(isinstance(block, _Criteria) for block in context.blocks):
+    if criteria and not any(isinstance(block, _CriteriaTable) for block in context.blocks):
         sections.insert(answer, context.criteria())
     page["sections"] = "\n".join(sections)
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).with_name("templates")),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["cell"] = cell_text
-    environment.filters |= {"percent": percent, "shown_unit": shown_unit}
-    environment.filters["pretty"] = lambda value: dumps(value).rstrip()
-    environment.filters["inline"] = lambda words: Markup(markdown.renderInline(" ".join(str(words).split())))
-    environment.globals["kind"] = lambda block: type(block).__name__.lstrip("_")
-    environment.globals["draw"] = Artist([block for block in context.blocks if isinstance(block, Figure)])
-    environment.globals["criteria"] = criteria
-    environment.globals["criteria_note"] = CRITERIA_NOTE
-    environment.globals["provenance"] = provenance
+    environment = _environment(Path(__file__).with_name("templates"), autoescape=True)
+    environment.filters |= {
+        "cell": cell_text,
+        "percent": percent,
+        "shown_unit": shown_unit,
+        "pretty": lambda value: dumps(value).rstrip(),
+        "inline": lambda words: Markup(markdown.renderInline(" ".join(str(words).split()))),
+    }
+    environment.globals |= {
+        "kind": lambda block: type(block).__name__.lstrip("_"),
+        "draw": Artist([block for block in context.blocks if isinstance(block, Figure)]),
+        "criteria": criteria,
+        "criteria_note": CRITERIA_NOTE,
+        "provenance": provenance,
+    }
     blocks = environment.get_template("blocks.html").make_module(vars={"provenance": provenance})
     show = blocks.show  # type: ignore[attr-defined]  # a macro of the template
     filled = {
@@ -226,36 +228,33 @@ def render_document(
 def _split(markdown: Any, text: str, blocks: Sequence[Any], name: str) -> tuple[dict[str, str], list[str]]:
     """HTML of title, lead, verdict and numbers, and of the sections."""
     tokens = markdown.parse(text)
-    starts = [n for n, token in enumerate(tokens) if token.type == "heading_open" and token.tag == "h2"]
-    first = starts[0] if starts else len(tokens)
+    edges = [n for n, token in enumerate(tokens) if token.type == "heading_open" and token.tag == "h2"] + [len(tokens)]
 
     def html(part: Sequence[Any]) -> str:
         return str(markdown.renderer.render(part, markdown.options, {}))
 
     page = {"title": "", "lead": "", "verdict": "", "numbers": ""}
-    for part in _top_level(tokens[:first]):
+    for part in _top_level(tokens[: edges[0]]):
         opening = part[0]
         if opening.type == "heading_open" and opening.tag == "h1":
             page["title"] = html(part[1:2])
         elif opening.type == "blockquote_open":
             page["verdict"] += " ".join(html([token]) for token in part if token.type == "inline")
-        elif (mark := _MARK.fullmatch(html(part).strip())) and isinstance(blocks[int(mark[1])], _Numbers):
+        elif (mark := _MARK.fullmatch(html(part).strip())) and isinstance(blocks[int(mark[1])], _KeyNumbers):
             page["numbers"] += html(part)
         else:
             page["lead"] += html(part)
     if not page["title"]:
         raise ConfigError(f"report template {name}: a first line '# Title' is needed")
-    ends = [*starts[1:], len(tokens)][: len(starts)]
-    parts = (html(tokens[start:end]) for start, end in zip(starts, ends, strict=True))
-    return page, [f"<section>\n{part}</section>" for part in parts]
+    return page, [f"<section>\n{html(tokens[start:end])}</section>" for start, end in pairwise(edges)]
 
 
 def _after_first_figure(sections: Sequence[str], blocks: Sequence[Any]) -> int:
-    """Number of sections that hold the answer, up to the first figure. Criteria follow, the others are folded."""
+    """Number of sections up to the first figure, which hold the answer."""
     for number, html in enumerate(sections):
-        inside = [blocks[int(mark)] for mark in _MARK.findall(html)]
-        inside += [inner for block in inside if isinstance(block, Row) for inner in block.blocks]
-        if any(isinstance(block, Figure) for block in inside):
+        blocks_here = [blocks[int(mark)] for mark in _MARK.findall(html)]
+        blocks_here += [inner for block in blocks_here if isinstance(block, FigureRow) for inner in block.blocks]
+        if any(isinstance(block, Figure) for block in blocks_here):
             return number + 1
     return len(sections)
 

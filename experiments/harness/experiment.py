@@ -41,42 +41,42 @@ Part = str | Callable[..., Any]
 class Experiment:
     """Declaration of an experiment."""
 
-    name: str  # By which it is called; the default output folder is ``out/NAME``
-    config: type[ExperimentConfig]  # Its settings
-    # ``run(config, *, progress) -> {section: record, records or None}``: the work under some settings; it reports
-    # stages to ``progress`` (`experiments.harness.progress.Progress`) and raises `StarbenchError` on bad input
+    name: str  # On the command line; the default output folder is ``out/NAME``
+    config: type[ExperimentConfig]
+    # ``run(config, *, progress) -> {section: record, records or None}``; it reports stages to ``progress``
+    # (`experiments.harness.progress.Progress`) and raises `StarbenchError` on bad input
     run: Part
-    # Name -> `experiments.harness.sections.Section`; or ``sections(result)`` where they depend on what was run
+    # Name -> `experiments.harness.sections.Section`; or ``sections(result)`` if they depend on the result
     sections: Part | Mapping[str, Any]
     # ``axes(config) -> Quantities``: dimensions that the sections share
     axes: Part | None = None
     # ``predict(config, *, progress)``: the same sections without frames, for sweeps and comparisons of sensors
     predict: Part | None = None
     swept: Sequence[str] = ()  # Quantities without dimensions that sweeps and comparisons show, the chief one first
-    # Quantities along one dimension (which is numbered) that a comparison of sensors draws on each other
+    # Quantities along a numbered dimension that a comparison of sensors draws in a common figure
     compared: Sequence[str] = ()
-    # ``limits(config)``: quantity -> (required value, whether at least); what a sweep looks for
+    # ``limits(config)``: quantity -> (required value, whether at least), judged at every point of a sweep
     limits: Part | None = None
-    takes: str = ""  # How long a default and a quick run take on two cores, for the help text
-    # Two command lines (what follows the name) -> what they do
+    takes: str = ""  # Duration of a default and of a quick run on two cores, for the help text
+    # Arguments of at least two command lines -> their meaning
     examples: Mapping[str, str] = field(default_factory=dict)
     report: str | Path = "report.md"  # Template of the report, relative to the package
     # Dotted key -> value of the ``--quick`` run; the user's own settings win over it
     quick: Mapping[str, Any] = field(default_factory=dict)
-    show: Sequence[str] = ()  # Tables that are printed in the terminal too
-    judged: str = "simulation"  # What the criteria judge, a word of the verdict
+    show: Sequence[str] = ()  # Tables that are printed in the terminal
+    judged: str = "simulation"  # Subject of the verdict
     files: Part | None = None  # ``files(result, folder)`` writes further files
     # ``renders(config)``: whether the backend has to be ready before ``run``
     renders: Callable[[Any], bool] = field(default=lambda _: True)
     # Name of an option without dashes -> (key of the configuration, help text): ``--NAME TEXT`` is short for ``--set
-    # KEY=TEXT`` and wins over it; where the key holds a list of text, the option is repeatable
+    # KEY=TEXT`` and overrides it; repeatable if the key holds a list of text
     options: Mapping[str, tuple[str, str]] = field(default_factory=dict)
-    # ``output(path, config)``: an output folder of its own kind, for work that can be taken up again; ``run`` is then
-    # given it as ``output=``
+    # ``output(path, config)``: another kind of output folder, for work that can be resumed; ``run`` takes it as
+    # ``output=``
     output: Part | None = None
-    # ``instead(config)``: another declaration that takes over for some settings, or None
+    # ``instead(config)``: another declaration that replaces this one for some settings, or None
     instead: Callable[[Any], Experiment | None] | None = None
-    # What several ``--sensor`` run; its configuration has a field ``sensors``, one of this experiment for each
+    # Declaration for several ``--sensor``; its configuration has ``sensors``, a configuration of this experiment each
     comparison: Experiment | None = None
 
     @property
@@ -86,7 +86,7 @@ class Experiment:
 
     @property
     def about(self) -> str:
-        """Description of the experiment: the docstring of its package, or of the module that declares it."""
+        """Docstring of the package, or of the module that declares the experiment."""
         module = sys.modules.get(self.package) or sys.modules[self.config.__module__]
         return (module.__doc__ or sys.modules[self.config.__module__].__doc__ or "").strip()
 
@@ -97,17 +97,17 @@ class Experiment:
 
     def parts(self, result: Any) -> Mapping[str, Section]:
         """Sections of the experiment."""
-        found: Any = self.part(self.sections) if isinstance(self.sections, str) else self.sections
-        sections: Mapping[str, Section] = found if isinstance(found, Mapping) else found(result)
+        declared: Any = self.part(self.sections) if isinstance(self.sections, str) else self.sections
+        sections: Mapping[str, Section] = declared if isinstance(declared, Mapping) else declared(result)
         return sections
 
     def part(self, part: Part) -> Callable[..., Any]:
-        """A part of the experiment, imported now if need be."""
+        """A part of the experiment, imported if it is a name."""
         if callable(part):
             return part
         module, _, name = part.partition(":")
-        found: Callable[..., Any] = getattr(prompt_import(f"{self.package}.{module}"), name)
-        return found
+        function: Callable[..., Any] = getattr(prompt_import(f"{self.package}.{module}"), name)
+        return function
 
     def outcome(self, config: ExperimentConfig, result: Any) -> Outcome:
         """Result with its quantities."""
@@ -122,8 +122,8 @@ class Experiment:
         from experiments.harness.pivot import Pivot, pivot
         from experiments.harness.sections import tabulated
 
-        made = tabulated(self.parts(outcome.result), outcome, every=every)
-        return {name: pivot(outcome.data, one) if isinstance(one, Pivot) else one for name, one in made.items()}
+        tables = tabulated(self.parts(outcome.result), outcome, every=every)
+        return {name: pivot(outcome.data, t) if isinstance(t, Pivot) else t for name, t in tables.items()}
 
     def judge(self, outcome: Outcome) -> list[Criterion]:
         """Criteria of a run."""
@@ -134,9 +134,9 @@ class Experiment:
     def draw(self, outcome: Outcome) -> Callable[..., Any]:
         """``draw(name)``: figure of the experiment by name."""
         figures = {
-            name: (section, drawing)
-            for section, described in self.parts(outcome.result).items()
-            for name, drawing in described.figures.items()
+            name: (key, drawing)
+            for key, section in self.parts(outcome.result).items()
+            for name, drawing in section.figures.items()
         }
 
         def call(name: str, *arguments: Any) -> Any:

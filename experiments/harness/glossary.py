@@ -14,7 +14,7 @@ class Term:
     """Meaning of an abbreviation."""
 
     means: str  # One sentence
-    link: str = ""  # Where to read on; empty for none
+    link: str = ""  # Address of a page about it
 
 
 _ECSS = "https://ecss.nl"
@@ -52,7 +52,7 @@ GLOSSARY: Mapping[str, Term] = {
     "IAC": Term("calibration by interstar angles, which need no attitude (ACF17)"),
     "EMVA 1288": Term("standard for the description of image sensors and cameras", _EMVA),
 }
-_SILENT = frozenset(("code", "pre", "svg", "a", "h1", "h2", "h3", "th", "script", "style", "title", "math"))
+_UNMARKED = frozenset(("code", "pre", "svg", "a", "h1", "h2", "h3", "th", "script", "style", "title", "math"))
 _TAG = re.compile(r"(<[^>]+>)")
 _NAME = re.compile(r"</?([A-Za-z0-9]+)")
 
@@ -64,23 +64,23 @@ class Glossary:
         self.terms = terms
         self.used: dict[str, Term] = {}
         longest_first = sorted(terms, key=len, reverse=True)
-        self._any = re.compile(r"(?<![\w-])(" + "|".join(re.escape(one) for one in longest_first) + r")(?![\w])")
+        self._any = re.compile(rf"(?<![\w-])({'|'.join(map(re.escape, longest_first))})(?!\w)")
 
     def mark(self, html: str) -> Markup:
-        """HTML whose terms link to their explanation at their first use; code and headings are left alone."""
-        silent = 0
-        parts = _TAG.split(html)
-        for place, part in enumerate(parts):
-            if place % 2:
+        """HTML whose terms link to their explanation at their first use, except in code and headings."""
+        depth = 0  # of elements without marks
+        parts = _TAG.split(html)  # text and tags in turn
+        for number, part in enumerate(parts):
+            if number % 2:
                 name = _NAME.match(part)
-                if name and name[1].lower() in _SILENT and not part.endswith("/>"):
-                    silent += -1 if part.startswith("</") else 1
-            elif not silent:
-                parts[place] = self._any.sub(self._first, part)
+                if name and name[1].lower() in _UNMARKED and not part.endswith("/>"):
+                    depth += -1 if part.startswith("</") else 1
+            elif not depth:
+                parts[number] = self._any.sub(self._first, part)
         return Markup("".join(parts))
 
-    def _first(self, found: re.Match[str]) -> str:
-        word = found[1]
+    def _first(self, match: re.Match[str]) -> str:
+        word = match[1]
         if word in self.used:
             return word
         self.used[word] = self.terms[word]
@@ -89,5 +89,5 @@ class Glossary:
 
     @staticmethod
     def anchor(word: str) -> str:
-        """Name of its place in the list."""
+        """Anchor of a term in the list."""
         return "term-" + re.sub(r"\W+", "-", word)

@@ -30,8 +30,8 @@ _ENDING = (signal.SIGINT, signal.SIGTERM)
 class OutputFolder:
     """A folder that an experiment is going to write.
 
-    Making the object checks, before any long work, that the folder can be written and that nothing of the user's would
-    be lost; it leaves nothing on disk.
+    The constructor checks, before any long work, that the folder can be written and that no file of the user would be
+    lost; it leaves nothing on disk.
 
     Examples
     --------
@@ -50,7 +50,7 @@ class OutputFolder:
 
     @contextlib.contextmanager
     def writing(self) -> Iterator[Path]:
-        """Folder to write into; on leaving without an exception it takes its place, otherwise it vanishes."""
+        """Folder to write into; without an exception it then becomes the output folder, otherwise it is removed."""
         staging = self._ancestor() / f".{self.path.name}.partial-{uuid.uuid4().hex[:8]}"
         try:
             staging.mkdir()
@@ -60,11 +60,11 @@ class OutputFolder:
             self._refuse_unsuitable()
             with signals_held(*_ENDING):
                 self.path.parent.mkdir(parents=True, exist_ok=True)
-                self._take_place(staging)
+                self._publish(staging)
         except OSError as error:
             raise ConfigError(f"{self.shown}: cannot be written ({error.strerror or error})") from error
         finally:
-            with signals_held(*_ENDING):  # by now the earlier output, or what was not finished
+            with signals_held(*_ENDING):  # it holds the earlier output, or an unfinished one
                 shutil.rmtree(staging, ignore_errors=True)
 
     def refuse_other_run(self, experiment: str, config: Mapping[str, Any]) -> None:
@@ -73,17 +73,16 @@ class OutputFolder:
 
         record = self._record()
         if not {"experiment", "config"} <= record.keys():
-            return  # none; what is not ours was refused before
-        held, before, now = record["experiment"], flat(record["config"]), flat(json.loads(json.dumps(config)))
+            return
+        earlier, present = flat(record["config"]), flat(json.loads(json.dumps(config)))
         advice = "name another folder with --out, or replace it with --force"
-        if held != experiment:
-            raise ConfigError(f"{self.shown}: holds a run of {held}; {advice}")
-        other = [key for key in (*now, *(key for key in before if key not in now)) if before.get(key) != now.get(key)]
-        if other:
-            more = f" and {len(other) - 1} more differences" if len(other) > 1 else ""
+        if record["experiment"] != experiment:
+            raise ConfigError(f"{self.shown}: holds a run of {record['experiment']}; {advice}")
+        if keys := [key for key in {**present, **earlier} if earlier.get(key) != present.get(key)]:
+            more = f" and {len(keys) - 1} more differences" if len(keys) > 1 else ""
             raise ConfigError(
-                f"{self.shown}: holds a run with {other[0]} = {shown_value(before, other[0])}, this one has "
-                f"{shown_value(now, other[0])}{more}; {advice}"
+                f"{self.shown}: holds a run with {keys[0]} = {shown_value(earlier, keys[0])}, this one has "
+                f"{shown_value(present, keys[0])}{more}; {advice}"
             )
 
     def _refuse_unsuitable(self) -> None:
@@ -110,7 +109,7 @@ class OutputFolder:
             )
 
     def _record(self) -> dict[str, Any]:
-        """Provenance of an earlier output of ours; empty if there is none."""
+        """Provenance of an earlier output of this program; empty without one."""
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
             record: dict[str, Any] = json.loads((self.path / RECORD).read_text(encoding="utf-8"))
             return record if record["program"] == PROGRAM and isinstance(record["files"], dict) else {}
@@ -126,7 +125,7 @@ class OutputFolder:
         except OSError as error:
             raise ConfigError(f"{self.shown}: cannot be written ({error.strerror or error})") from None
 
-    def _take_place(self, staging: Path) -> None:
+    def _publish(self, staging: Path) -> None:
         if not self.path.exists() or not any(self.path.iterdir()):
             os.rename(staging, self.path)  # replaces an empty folder in one step
         elif not _exchange(staging, self.path):
@@ -143,12 +142,12 @@ class OutputFolder:
 
 
 def shown_value(values: Mapping[str, Any], key: str) -> str:
-    """A setting for a message; it may be absent."""
+    """A setting for a message."""
     return json.dumps(values[key], ensure_ascii=False) if key in values else "nothing there"
 
 
 def _exchange(first: Path, second: Path) -> bool:
-    """Swap two folders in one step (Linux renameat2); False where the system or the file system cannot."""
+    """Swap two folders in one step (Linux renameat2); False if the system or the file system cannot."""
     try:
         renameat2 = ctypes.CDLL(None, use_errno=True).renameat2
     except (AttributeError, OSError, TypeError):

@@ -1,7 +1,6 @@
 """House style of the figures, and colours of light; matplotlib's object interface only, no pyplot, no global state.
 
-Use it as ``with house_style(): figure, axes = new_figure(); axes.plot(...)``. The command line of an experiment calls
-``report(result)`` inside `house_style` already.
+Use it as ``with house_style(): figure, axes = new_figure(); axes.plot(...)``; reports are written inside `house_style`.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-logging.getLogger("matplotlib").setLevel(logging.ERROR)  # that a home folder cannot hold its cache, for one
+logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it warns of a home folder that cannot hold its cache
 
 from matplotlib import rc_context  # noqa: E402
 from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
@@ -28,7 +27,7 @@ from matplotlib.ticker import ScalarFormatter  # noqa: E402
 from experiments.harness.range import logarithmic  # noqa: E402
 from optics.errors import DomainError  # noqa: E402
 
-# Okabe & Ito (2008), "Color Universal Design": told apart with every common colour-vision deficiency.
+# Okabe & Ito (2008), "Color Universal Design": distinguishable with every common colour-vision deficiency
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 INK = "#22262b"
@@ -92,7 +91,7 @@ _RC = {
 
 @contextmanager
 def house_style() -> Iterator[None]:
-    """The house style while the block runs; matplotlib's settings are as before afterwards."""
+    """The house style; matplotlib's settings are restored afterwards."""
     from cycler import cycler
 
     with rc_context({**_RC, "axes.prop_cycle": cycler(color=PALETTE)}):
@@ -117,12 +116,12 @@ def new_figure(
     for panel in figure.axes:
         for axis in (panel.xaxis, panel.yaxis):
             if isinstance(axis.get_major_formatter(), ScalarFormatter):
-                axis.set_major_formatter(_Numbers())
+                axis.set_major_formatter(_PlainFormatter())
     return figure, axes
 
 
-class _Numbers(ScalarFormatter):
-    """Numbers as plain text, which is set ten times as fast as mathematics; only the power of ten beside an axis is."""
+class _PlainFormatter(ScalarFormatter):
+    """Numbers as plain text, set ten times as fast as mathematics; only the power of ten of an axis is mathematics."""
 
     def __init__(self) -> None:
         super().__init__(useMathText=False)
@@ -132,7 +131,7 @@ class _Numbers(ScalarFormatter):
 
 
 def spaced_axis(axes: Any, which: Literal["x", "y"], values: Sequence[float]) -> None:
-    """Make an axis logarithmic where its ``values`` are spaced so; call after the limits are set."""
+    """Make an axis logarithmic if its ``values`` are spaced so; call after the limits are set."""
     if not logarithmic(values):
         return
     (axes.set_xscale if which == "x" else axes.set_yscale)("log")
@@ -152,8 +151,8 @@ def log_ticks(axes: Any, which: Literal["x", "y"], ticks: Iterable[float] | None
         decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
         digits = (1, 2, 5) if high / low < 1e4 else (1,)
         ticks = (float(f"{digit}e{decade}") for decade in decades for digit in digits)
-    shown = [tick for tick in ticks if low <= tick <= high]
-    axis.set_ticks(shown, [f"{tick:g}" for tick in shown])
+    ticks = [tick for tick in ticks if low <= tick <= high]
+    axis.set_ticks(ticks, [f"{tick:g}" for tick in ticks])
     axis.set_ticks([], minor=True)
 
 
@@ -170,16 +169,16 @@ def figure_svg(figure: Figure, *, prefix: str = "f") -> str:
 
 
 def side_by_side(figure: Figure) -> list[tuple[float, float]]:
-    """Left and right ends (parts of the width) of the parts of a figure that need not stand in one row.
+    """Left and right ends (fractions of the width) of the parts of a figure that need not stand in a row.
 
-    Empty where there are not two to four, or where one takes its scale from the one at its left.
+    Empty unless there are two to four, each with its own scale.
     """
     if len(figure.axes) < 2:
         return []
     renderer = FigureCanvasAgg(figure).get_renderer()
     to_figure = figure.transFigure.inverted()
     parts: list[list[Any]] = []  # left end, right end, axes
-    for axis in sorted(figure.axes, key=lambda one: one.get_position().x0):
+    for axis in sorted(figure.axes, key=lambda axes: axes.get_position().x0):
         box = axis.get_tightbbox(renderer)
         if box is None:
             continue
@@ -198,19 +197,19 @@ def side_by_side(figure: Figure) -> list[tuple[float, float]]:
 
 
 def narrow(figure: Figure) -> bool:
-    """Make a figure of one plot as wide as a telephone shows it in a legible size; call when it is drawn elsewhere."""
+    """Make a figure of one plot as wide as a telephone shows it in a legible size, after its wide version is drawn."""
     plots = [axis for axis in figure.axes if axis.get_label() != "<colorbar>"]
     width, height = figure.get_size_inches()
     if len(plots) != 1 or not plots[0].axison or plots[0].get_aspect() != "auto" or width <= _NARROW_IN:
         return False
     figure.set_size_inches(_NARROW_IN, max(0.85 * height, 0.6 * _NARROW_IN))
-    legend, room_px = plots[0].get_legend(), 0.85 * figure.bbox.width  # the axes stand right of the middle
+    legend, spare_px = plots[0].get_legend(), 0.85 * figure.bbox.width  # the axes stand right of the middle
     renderer = FigureCanvasAgg(figure).get_renderer()
     columns = 0 if legend is None else len(legend.get_texts())
-    while legend is not None and legend.get_window_extent(renderer).width > room_px and columns > 1:
+    while legend is not None and legend.get_window_extent(renderer).width > spare_px and columns > 1:
         columns = (columns + 1) // 2
         words = [text.get_text() for text in legend.get_texts()]
-        handles = [one for one in legend.legend_handles if one is not None]
+        handles = [handle for handle in legend.legend_handles if handle is not None]
         below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.22), "ncols": columns}
         legend = plots[0].legend(handles, words, title=legend.get_title().get_text(), **below)
         figure.set_figheight(max(0.85 * height, 0.6 * _NARROW_IN) + 0.17 * math.ceil(len(words) / columns))
@@ -219,10 +218,10 @@ def narrow(figure: Figure) -> bool:
 
 
 def _thin_out(figure: Figure, axes: Any) -> None:
-    """Take away labels of the x axis that run into the one before."""
+    """Hide labels of the x axis that overlap the one before."""
     FigureCanvasAgg(figure).draw()
     end = -math.inf
-    for label in sorted(axes.get_xticklabels(), key=lambda one: one.get_window_extent().x0):
+    for label in sorted(axes.get_xticklabels(), key=lambda label: label.get_window_extent().x0):
         box = label.get_window_extent()
         if label.get_text() and box.x0 < end:
             label.set_visible(False)
@@ -233,13 +232,7 @@ def _thin_out(figure: Figure, axes: Any) -> None:
 def figure_png(figure: Figure, *, dpi: float = 200.0) -> bytes:
     """The figure as a PNG file [bytes], for drawings with very many marks."""
     buffer = io.BytesIO()
-    canvas = FigureCanvasAgg(figure)
-    before = figure.get_dpi()
-    try:
-        figure.set_dpi(dpi)
-        canvas.print_png(buffer, metadata={"Software": None})
-    finally:
-        figure.set_dpi(before)
+    figure.savefig(buffer, format="png", dpi=dpi, metadata={"Software": None})
     return buffer.getvalue()
 
 
@@ -270,7 +263,7 @@ def _cie() -> tuple[np.ndarray, np.ndarray]:
 
 
 def wavelength_colour(wavelength_nm: float, *, lightness: float = 55.0) -> str:
-    """Colour of light on a screen: the hue is the light's, the lightness is chosen so that it can be read."""
+    """Colour of light on a screen: its hue, with a legible lightness."""
     if not (np.isfinite(wavelength_nm) and wavelength_nm > 0):
         raise DomainError(f"wavelength_nm = {wavelength_nm} nm; it must be positive")
     import colour
@@ -281,10 +274,10 @@ def wavelength_colour(wavelength_nm: float, *, lightness: float = 55.0) -> str:
     white = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
     _, a, b = colour.XYZ_to_Lab(tristimulus / tristimulus[1] * 0.3, white)
     lab = np.array([lightness, a, b]) * np.linspace([1.0, 1.0, 1.0], [1.0, 0.0, 0.0], 201)
-    shown = colour.XYZ_to_sRGB(colour.Lab_to_XYZ(lab, white), white)
-    inside = ((shown >= -1e-6) & (shown <= 1.0 + 1e-6)).all(axis=1)
-    shown = np.clip(shown[inside.argmax() if inside.any() else -1], 0.0, 1.0)  # the least that is taken away
-    return "#" + "".join(f"{round(255 * float(channel)):02x}" for channel in shown)
+    rgb = colour.XYZ_to_sRGB(colour.Lab_to_XYZ(lab, white), white)
+    in_gamut = ((rgb >= -1e-6) & (rgb <= 1.0 + 1e-6)).all(axis=1)
+    rgb = np.clip(rgb[in_gamut.argmax() if in_gamut.any() else -1], 0.0, 1.0)  # the most saturated colour in gamut
+    return "#" + "".join(f"{round(255 * float(channel)):02x}" for channel in rgb)
 
 
 def band_colours(centres_nm: Sequence[float]) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Progress of long work: bars on a terminal, occasional lines elsewhere, and the time of each stage."""
+"""Progress of long work: bars on a terminal, occasional lines elsewhere; the time of each stage."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ class _BarProgress(Progress):
 
 
 class LineProgress(Progress):
-    """Plain lines, for a pipe or a log file: none from a run of two seconds, then one in thirty seconds at most."""
+    """Plain lines, for a pipe or a log file: none in the first two seconds, then one in thirty seconds at most."""
 
     FIRST_S = 2.0
     EVERY_S = 30.0
@@ -120,7 +120,7 @@ class LineProgress(Progress):
         self._stream, self._clock, self._start = stream, clock, clock()
         self._next = self._start + self.FIRST_S
 
-    def _say(self, words: str) -> None:
+    def _print(self, words: str) -> None:
         now = self._clock()
         if now >= self._next:
             print(f"[{now - self._start:.0f} s] {words}", file=self._stream, flush=True)
@@ -133,19 +133,20 @@ class LineProgress(Progress):
         def show(steps: int) -> None:
             nonlocal done
             done += steps
-            left = (total - done) * (self._clock() - begun) / done if total and done else 0.0
-            of = f" of {total}" if total is not None else ""
-            self._say(f"{label}: {done}{of}" + (f", {left:.0f} s left" if left > 0 else ""))
+            remaining_s = (total - done) * (self._clock() - begun) / done if total and done else 0.0
+            steps_of = f"{done}" if total is None else f"{done} of {total}"
+            self._print(f"{label}: {steps_of}" + (f", {remaining_s:.0f} s left" if remaining_s > 0 else ""))
 
-        self._say(label)
+        self._print(label)
         yield show
 
 
 def terminal_progress() -> Progress:
     """Progress on the standard error stream: bars if that is a terminal, otherwise lines.
 
-    Silent without the stream; no lines where the environment says ``STARBENCH_PROGRESS=none``.
+    Silent without the stream; no lines with ``STARBENCH_PROGRESS=none`` in the environment.
     """
-    if sys.stderr is None or (not sys.stderr.isatty() and os.environ.get("STARBENCH_PROGRESS") == "none"):
-        return Progress()
-    return _BarProgress() if sys.stderr.isatty() else LineProgress(sys.stderr)
+    if sys.stderr is not None and sys.stderr.isatty():
+        return _BarProgress()
+    silent = sys.stderr is None or os.environ.get("STARBENCH_PROGRESS") == "none"
+    return Progress() if silent else LineProgress(sys.stderr)

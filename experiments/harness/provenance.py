@@ -44,7 +44,7 @@ def collect(
     quick: bool,
     times_s: Mapping[str, float],
 ) -> dict[str, Any]:
-    """Everything needed to make a run again, except the files it wrote."""
+    """Everything needed to repeat a run, except the files it wrote."""
     return {
         "program": PROGRAM,
         "experiment": experiment,
@@ -113,10 +113,8 @@ def _git() -> dict[str, Any] | None:
         return None
 
     def ask(*arguments: str) -> str:
-        done = subprocess.run(
-            ["git", "-C", str(root), *arguments], capture_output=True, text=True, check=True, timeout=10
-        )
-        return done.stdout.strip()
+        command = ["git", "-C", str(root), *arguments]
+        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
 
     try:
         commit = ask("rev-parse", "HEAD")

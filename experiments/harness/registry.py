@@ -17,21 +17,22 @@ from experiments.harness.outputs import PROGRAM
 from optics.errors import ConfigError, unknown_name
 
 GROUP = "starbench.experiments"
-"""Entry points under which other distributions offer experiments: ``NAME = "package"``, laid out as ours."""
+"""Entry points by which other distributions offer experiments: ``NAME = "package"``, laid out as those here."""
 
 
 @cache
 def _packages() -> dict[str, str]:
-    """Packages of experiments by name: those with ``settings`` and ``experiment``, and those of entry points."""
-    ours = {name: f"{home.__name__}.{name}" for _, name, package in pkgutil.iter_modules(home.__path__) if package}
-    parts = ("settings", "experiment")
-    ours = {name: at for name, at in ours.items() if all(importlib.util.find_spec(f"{at}.{part}") for part in parts)}
-    others = {point.name: point.value for point in metadata.entry_points(group=GROUP)}
-    return dict(sorted((others | ours).items()))
+    """Packages with ``settings`` and ``experiment``, and packages of entry points, by name."""
+    packages = {point.name: point.value for point in metadata.entry_points(group=GROUP)}
+    for _, name, is_package in pkgutil.iter_modules(home.__path__):
+        package = f"{home.__name__}.{name}"
+        if is_package and all(importlib.util.find_spec(f"{package}.{part}") for part in ("settings", "experiment")):
+            packages[name] = package
+    return dict(sorted(packages.items()))
 
 
-def found() -> dict[str, str]:
-    """Experiments in alphabetical order: name -> what it answers, the first line of its package's docstring."""
+def experiment_names() -> dict[str, str]:
+    """Experiments in alphabetical order: name -> the first line of its package's docstring, what it answers."""
     return {name: (import_module(at).__doc__ or "").strip().partition("\n")[0] for name, at in _packages().items()}
 
 
@@ -62,14 +63,14 @@ def load(name: str) -> click.Command:
 
 
 class Commands(click.Group):
-    """All experiments, and other commands: name -> (``module:command``, what it does); each loaded when called for."""
+    """All experiments, and other commands: name -> (``module:command``, meaning); each is loaded when it is called."""
 
     def __init__(self, others: Mapping[str, tuple[str, str]], **settings: Any) -> None:
         super().__init__(**settings)
         self._others = others
 
     def _lines(self) -> dict[str, str]:
-        return found() | {name: line for name, (_, line) in self._others.items()}
+        return experiment_names() | {name: line for name, (_, line) in self._others.items()}
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Names of the commands."""
@@ -77,13 +78,13 @@ class Commands(click.Group):
         return list(self._lines())
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """One of them, loaded."""
+        """A command, loaded."""
         del ctx
         if cmd_name not in self._others:
             return load(cmd_name) if cmd_name in _packages() else None
         module, _, name = self._others[cmd_name][0].partition(":")
-        loaded: click.Command = getattr(import_module(module), name)
-        return loaded
+        command: click.Command = getattr(import_module(module), name)
+        return command
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -94,15 +95,15 @@ class Commands(click.Group):
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """A line for each, none of them loaded."""
+        """A line for each command, none of them loaded."""
         del ctx
         others = {name: line for name, (_, line) in self._others.items()}
-        for head, lines in (("Experiments", found()), ("Commands", others)):
+        for head, lines in (("Experiments", experiment_names()), ("Commands", others)):
             with formatter.section(head):
                 formatter.write_dl(list(lines.items()))
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        """Names that begin so, none of them loaded; and options."""
+        """Names that begin with the text, without loading their commands, and options."""
         lines = self._lines().items()
         names = [CompletionItem(name, help=line) for name, line in lines if name.startswith(incomplete)]
         return [*names, *click.Command.shell_complete(self, ctx, incomplete)]

@@ -37,7 +37,7 @@ class Options:
     sensor: tuple[str, ...] = ()
     file: str | None = None
     settings: tuple[str, ...] = ()
-    short: Mapping[str, str] = field(default_factory=dict)  # Name of an option of the experiment's own -> ``key=value``
+    short: Mapping[str, str] = field(default_factory=dict)  # Name of an option of the experiment -> ``key=value``
     seed: int | None = None
     backend: str = "auto"
     out: str | None = None  # None writes nothing
@@ -152,7 +152,7 @@ def finished(experiment: Experiment, config: ExperimentConfig, result: Any, **ab
 
 def perform(experiment: Experiment, options: Options, progress: Progress) -> tuple[ExperimentRun, Any]:
     """Run an experiment and write its results: the run, and its output folder (None if none is named)."""
-    with one_thread(unless_told=True):
+    with one_thread(unless_set=True):
         experiment, config = _chosen(experiment, options)
         interrupts.at_once = False
         folder = _output_folder(experiment, options, config) if options.out is not None else None
@@ -163,11 +163,11 @@ def perform(experiment: Experiment, options: Options, progress: Progress) -> tup
             with interrupts.leaving():
                 variant = Engine.start(options.backend).variant
         if folder is not None:
-            interrupts.said = lambda: folder.interrupted
+            interrupts.message = lambda: folder.interrupted
         for note in config.notes():
             progress.note(fill(note, 80))
-        own = {"output": folder} if experiment.output is not None else {}
-        result = experiment.part(experiment.run)(config, progress=progress, **own)
+        output = {"output": folder} if experiment.output is not None else {}
+        result = experiment.part(experiment.run)(config, progress=progress, **output)
         with progress.stage("write"):
             about = {"variant": variant, "quick": options.quick, "times_s": progress.times_s}
             run = finished(experiment, config, result, **about)
@@ -182,12 +182,11 @@ def _chosen(experiment: Experiment, options: Options) -> tuple[Experiment, Exper
     if len(options.sensor) < 2:
         config = configuration(experiment, options)
         return (experiment.instead(config) if experiment.instead is not None else None) or experiment, config
-    side_by_side = experiment.comparison
-    if side_by_side is None:
+    if experiment.comparison is None:
         raise ConfigError(f"--sensor is given {len(options.sensor)} times: {experiment.name} takes one sensor")
     sensors = [configuration(experiment, replace(options, sensor=(file,))) for file in options.sensor]
     values = {"seed": sensors[0].seed, "sensors": sensors}
-    return side_by_side, parse_model(side_by_side.config, values, "several --sensor")
+    return experiment.comparison, parse_model(experiment.comparison.config, values, "several --sensor")
 
 
 def configuration(experiment: Experiment, options: Options) -> Any:
@@ -204,7 +203,7 @@ def configuration(experiment: Experiment, options: Options) -> Any:
 
 
 def configuration_file(name: str | None) -> str | Path | None:
-    """The file that is meant: a path, or the bare name of one that comes with the program (``experiments/data``)."""
+    """A path as it is, or the file of a bare name that comes with the program (``experiments/data``)."""
     shipped = Path(__file__).parents[1] / "data" / f"{name}.toml"
     if name is None or Path(name).suffix or len(Path(name).parts) > 1 or not os.path.isfile(shipped):
         return name
@@ -212,7 +211,7 @@ def configuration_file(name: str | None) -> str | Path | None:
 
 
 def _output_folder(experiment: Experiment, options: Options, config: ExperimentConfig) -> Any:
-    """The output folder; that of another run is refused unless the user insists."""
+    """The output folder; a folder of another run is refused without ``--force``."""
     if options.out is None or not options.out.strip():
         raise ConfigError("--out is empty: name a folder")
     if experiment.output is not None:
@@ -246,19 +245,19 @@ def run_experiment(
     Parameters
     ----------
     name : str or Experiment
-        One of ``python -m experiments --names``, or a declaration of your own.
+        A name of ``python -m experiments --names``, or a declaration.
     settings : mapping, optional
-        Dotted keys and their values, what ``--set`` takes: ``{"frames": 10, "instrument.exposure_s": 0.2}``.
+        Keys, dotted or short, and their values as for ``--set``: ``{"frames": 10, "instrument.exposure_s": 0.2}``.
     sensor : path or several, optional
         Sensor file, what ``--sensor`` takes.
     quick : bool
         The small run.
     seed : int, optional
-        Seed; the configuration's own if left out.
+        Seed; by default of the configuration.
     out : path, optional
-        Folder to write, report included; nothing is written if left out (a dataset needs one).
+        Folder to write, report included; by default nothing is written (a dataset needs a folder).
     backend : {"auto", "llvm", "cuda"}
-        Where rendering runs; it is chosen once per process.
+        Backend of rendering, chosen once per process.
 
     Returns
     -------
@@ -268,7 +267,7 @@ def run_experiment(
     Raises
     ------
     StarbenchError
-        Whatever the command refuses in one line.
+        Input that the command refuses in one line.
     """
     experiment: Experiment = name if isinstance(name, Experiment) else declared(name)
     if experiment.output is not None and out is None:

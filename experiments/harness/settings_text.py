@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from optics.settings import absolute, alternatives, unit_of
+from optics.settings import absolute, alternatives, is_model, unit_of
 from optics.textfile import toml_value
 from optics.validate import allowed_range
 
@@ -29,13 +29,13 @@ def toml_text(config: BaseModel, heading: str = "") -> str:
 
 
 def about(name: str, field: FieldInfo) -> str:
-    """Meaning of a key, with unit and allowed values as far as its name, type and constraints tell."""
+    """Meaning of a key, with unit and allowed values by its name, type and constraints."""
     text, unit = field.description or "", ""
     if text.endswith("]"):
         text, _, unit = text[:-1].rpartition(" [")
     choices = " or ".join(map(toml_value, _choices(field.annotation)))
-    told = ", ".join(fact for fact in (unit or unit_of(name), choices, allowed_range(field)) if fact)
-    return f"{text}{f' [{told}]' if told else ''}".strip()
+    facts = ", ".join(fact for fact in (unit or unit_of(name), choices, allowed_range(field)) if fact)
+    return f"{text}{f' [{facts}]' if facts else ''}".strip()
 
 
 def _choices(annotation: Any) -> list[Any]:
@@ -54,8 +54,8 @@ def _table(config: BaseModel, at: tuple[str, ...]) -> Iterator[str]:
         value, key = getattr(config, name), ".".join((*at, name))
         if isinstance(value, BaseModel):
             tables.append((name, field, f"[{key}]", value))
-        elif isinstance(value, tuple) and value and all(isinstance(one, BaseModel) for one in value):
-            tables.extend((name, field, f"[[{key}]]", one) for one in value)
+        elif isinstance(value, tuple) and value and all(isinstance(item, BaseModel) for item in value):
+            tables.extend((name, field, f"[[{key}]]", item) for item in value)
         else:
             yield from _comment(about(name, field))
             yield f"# {name} =" if value is None else f"{name} = {toml_value(absolute(field, value))}"
@@ -66,7 +66,7 @@ def _table(config: BaseModel, at: tuple[str, ...]) -> Iterator[str]:
 
 def _about_table(field: FieldInfo, table: BaseModel) -> str:
     words = field.description or (type(table).__doc__ or "").strip().partition("\n\n")[0]
-    models = [part for part in alternatives(field.annotation) if isinstance(part, type) and issubclass(part, BaseModel)]
+    models = [part for part in alternatives(field.annotation) if is_model(part)]
     kinds = [model.model_fields["kind"].default for model in models if "kind" in model.model_fields]
     return words + (f" (kinds, each with its own keys: {', '.join(kinds)})" if len(kinds) > 1 else "")
 

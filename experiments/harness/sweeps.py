@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -15,7 +17,6 @@ from pydantic import Field, create_model, model_validator
 
 from experiments.harness.config import ExperimentConfig
 from experiments.harness.experiment import Experiment
-from experiments.harness.progress import Progress
 from experiments.harness.range import SweepRange, parse_sweep
 
 MOST_POINTS, MOST_SENSORS = 400, 7
@@ -70,70 +71,50 @@ def with_what_if(declared: Experiment, *, renders: bool = False) -> Experiment:
 
 
 def _sweep(declared: Experiment, renders: bool) -> Experiment:
-    def run(config: Any, *, progress: Progress) -> Any:
-        from experiments.harness.what_if import run_sweep
-
-        return run_sweep(declared, config, progress=progress)
-
-    def sections(result: Any) -> Any:
-        from experiments.harness.what_if import sweep_sections
-
-        return sweep_sections(result)
-
-    own: dict[str, Any] = {"report": "what_if.md", "show": ("sweep",), "renders": renders}
-    return _by_prediction(declared, declared.config, run, sections, **own)
+    return Experiment(
+        name=declared.name,
+        config=declared.config,
+        run=lambda config, *, progress: _what_if("run_sweep", declared, config, progress=progress),
+        sections=partial(_what_if, "sweep_sections"),
+        report=Path(__file__).with_name("what_if.md"),
+        show=("sweep",),
+        renders=lambda _: renders,
+    )
 
 
 def _comparison(declared: Experiment, renders: bool) -> Experiment:
-    def run(config: Any, *, progress: Progress) -> Any:
-        from experiments.harness.what_if import run_comparison
-
-        return run_comparison(declared, config.sensors, progress=progress)
-
-    def sections(result: Any) -> Any:
-        from experiments.harness.what_if import comparison_sections
-
-        return comparison_sections(result)
-
-    single: Any = declared.config
+    sensor: Any = declared.config
     sensors = Field(
-        default_factory=lambda: (single(),), min_length=1, max_length=MOST_SENSORS, description="sensors to compare"
+        default_factory=lambda: (sensor(),), min_length=1, max_length=MOST_SENSORS, description="sensors to compare"
     )
-    config = create_model(
-        "ComparisonConfig", __base__=_Comparison, __module__=single.__module__, sensors=(tuple[single, ...], sensors)
+    return Experiment(
+        name=declared.name,
+        config=create_model(
+            "ComparisonConfig",
+            __base__=_Comparison,
+            __module__=sensor.__module__,
+            sensors=(tuple[sensor, ...], sensors),
+        ),
+        run=lambda config, *, progress: _what_if("run_comparison", declared, config.sensors, progress=progress),
+        sections=partial(_what_if, "comparison_sections"),
+        report=Path(__file__).with_name("comparison.md"),
+        show=("sensors", "requirements"),
+        renders=lambda _: renders,
     )
-    own: dict[str, Any] = {"report": "comparison.md", "show": ("sensors", "requirements"), "renders": renders}
-    return _by_prediction(declared, config, run, sections, axes=None, **own)
+
+
+def _what_if(name: str, *arguments: Any, **options: Any) -> Any:
+    """Call a function of `experiments.harness.what_if`, which is slow to import."""
+    return getattr(import_module("experiments.harness.what_if"), name)(*arguments, **options)
 
 
 class _Comparison(ExperimentConfig):
-    """One configuration per sensor."""
+    """A configuration per sensor."""
 
     sensors: tuple[Any, ...]
 
     @model_validator(mode="after")
     def _no_sweep(self) -> _Comparison:
-        if any(one.sweep for one in self.sensors):
+        if any(sensor.sweep for sensor in self.sensors):
             raise ValueError("a sweep is of one sensor: give one --sensor, or no --sweep")
         return self
-
-
-def _by_prediction(
-    declared: Experiment,
-    config: type[ExperimentConfig],
-    run: Any,
-    sections: Any,
-    *,
-    report: str,
-    renders: bool,
-    **given: Any,
-) -> Experiment:
-    return Experiment(
-        name=declared.name,
-        config=config,
-        run=run,
-        sections=sections,
-        report=Path(__file__).with_name(report),
-        renders=lambda _: renders,
-        **given,
-    )

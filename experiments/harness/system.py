@@ -31,14 +31,15 @@ def processors() -> int:
 
 
 @contextlib.contextmanager
-def one_thread(*, unless_told: bool = False) -> Iterator[None]:
-    """Linear algebra on one thread meanwhile, in libraries that are loaded, that will be, and in processes that start.
+def one_thread(*, unless_set: bool = False) -> Iterator[None]:
+    """Linear algebra on one thread, in libraries that are or will be loaded and in child processes.
 
-    The matrices here are small. OpenBLAS hands even them to as many threads as there are processors, whose idle ones
-    spin: two processes side by side then wait for each other's threads (``benchmarks/side_by_side.py``).
+    The matrices here are small. OpenBLAS splits even them between threads of all processors, and idle threads spin:
+    parallel processes then wait for each other's threads (``benchmarks/side_by_side.py``). ``unless_set``: not if the
+    environment sets a number of threads.
     """
-    before = {name: os.environ.get(name) for name in THREADS}
-    if unless_told and any(before.values()):
+    earlier = {name: os.environ.get(name) for name in THREADS}
+    if unless_set and any(earlier.values()):
         yield
         return
     from threadpoolctl import threadpool_limits
@@ -50,23 +51,23 @@ def one_thread(*, unless_told: bool = False) -> Iterator[None]:
     finally:
         for name in THREADS:
             os.environ.pop(name, None)
-        os.environ.update({name: value for name, value in before.items() if value is not None})
+        os.environ.update({name: value for name, value in earlier.items() if value is not None})
 
 
 def prompt_import(name: str) -> ModuleType:
-    """A module, imported without searches for cycles among what it brings, which take a third of the time."""
-    searching = gc.isenabled()
+    """A module, imported without garbage collection, which takes a third of the time."""
+    enabled = gc.isenabled()
     gc.disable()
     try:
         return import_module(name)
     finally:
-        if searching:
+        if enabled:
             gc.enable()
 
 
 @contextlib.contextmanager
 def prompt_pool(threads: int | None = None) -> Iterator[ThreadPoolExecutor]:
-    """Threads (one per processor if left out) for work that writes nothing: it is not waited for after an exception."""
+    """Threads (default: one per processor) for work that writes nothing, which is abandoned after an exception."""
     pool = ThreadPoolExecutor(threads or processors())
     try:
         yield pool
@@ -76,46 +77,46 @@ def prompt_pool(threads: int | None = None) -> Iterator[ThreadPoolExecutor]:
     pool.shutdown()
 
 
-_HERE = os.getpid()  # Another number in a copy of the process
+_PARENT = os.getpid()  # Differs from the number of a forked process
 
 
 @contextlib.contextmanager
-def aside(work: Callable[[], Result], *, niceness: int = 0) -> Iterator[Callable[[], Result]]:
-    """Work done meanwhile by a copy of this process: NumPy alone, nothing that renders, writes or shows progress.
+def forked(work: Callable[[], Result], *, niceness: int = 0) -> Iterator[Callable[[], Result]]:
+    """Work in a forked process: NumPy alone, nothing that renders, writes or shows progress.
 
-    Gives a function that waits for the result. Without a copy (a single processor, another system than Linux), or when
+    Gives a function that waits for the result. Without a fork (a single processor, another system than Linux), or if
     it fails, that function does the work.
     """
-    if sys.platform != "linux" or processors() < 2 or os.getpid() != _HERE:
+    if sys.platform != "linux" or processors() < 2 or os.getpid() != _PARENT:
         yield work
         return
     source, sink = os.pipe()
     with signals_held(signal.SIGINT, signal.SIGTERM), warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # of locks that threads hold: NumPy knows of none
+        warnings.simplefilter("ignore", DeprecationWarning)  # of locks of other threads, which NumPy does not take
         child = os.fork()
         if not child:
-            _work_and_leave(work, sink, niceness)
+            _work_and_exit(work, sink, niceness)
     os.close(sink)
 
     def result() -> Result:
         with open(source, "rb", closefd=False) as stream:
-            told = stream.read()
-        if not told:
+            pickled = stream.read()
+        if not pickled:
             return work()
-        found: Result = pickle.loads(told)
-        return found
+        returned: Result = pickle.loads(pickled)
+        return returned
 
     try:
         yield result
     finally:
         os.close(source)
-        with contextlib.suppress(OSError):  # gone, and nobody's child any more where the caller ignores SIGCHLD
+        with contextlib.suppress(OSError):  # already reaped if the caller ignores SIGCHLD
             os.kill(child, signal.SIGKILL)
             os.waitpid(child, 0)
 
 
-def _work_and_leave(work: Callable[[], object], sink: int, niceness: int) -> None:
-    """All that a copy does; it ends without clearing up what belongs to the other process."""
+def _work_and_exit(work: Callable[[], object], sink: int, niceness: int) -> None:
+    """The life of a forked process; it exits without cleaning up what belongs to its parent."""
     try:
         os.nice(niceness)
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -134,41 +135,41 @@ def shared(
     *,
     workers: int = 0,
 ) -> list[Result]:
-    """Results of tasks in order, each done by the next free process (0: one per processor); work as of `aside`.
+    """Results of tasks in order, each by the next free process (0: one per processor); work as of `forked`.
 
-    Tasks advance when they, or later ones, are done by this process, the others at the end.
+    A task advances when this process has done it or a later one, the others at the end.
     """
     source, sink = os.pipe()
     for number in range(len(tasks)):
         os.write(sink, number.to_bytes(2))
     os.close(sink)
-    told = 0
+    advanced = 0
 
     def some() -> dict[int, Result]:
-        nonlocal told
+        nonlocal advanced
         done = {}
         while taken := os.read(source, 2):
             number = int.from_bytes(taken)
             done[number] = work(tasks[number])
-            if os.getpid() == _HERE:
-                for task in tasks[told : number + 1]:
+            if os.getpid() == _PARENT:
+                for task in tasks[advanced : number + 1]:
                     advance(task)
-                told = number + 1
+                advanced = number + 1
         return done
 
     with contextlib.ExitStack() as stack:
         stack.callback(os.close, source)
-        others = [stack.enter_context(aside(some)) for _ in range(min(workers or processors(), len(tasks)) - 1)]
+        others = [stack.enter_context(forked(some)) for _ in range(min(workers or processors(), len(tasks)) - 1)]
         done = some()
         for other in others:
             done |= other()
-        for task in tasks[told:]:
+        for task in tasks[advanced:]:
             advance(task)
         return [done[number] if number in done else work(task) for number, task in enumerate(tasks)]
 
 
 def lock_folder(path: Path) -> int:
-    """Take the only right to write in a folder; the system lets go of it when the process ends, however it ends."""
+    """Lock a folder for writing; the system releases the lock when the process ends, however it ends."""
     handle = os.open(path, os.O_RDONLY)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -182,12 +183,12 @@ def lock_folder(path: Path) -> int:
 
 @contextlib.contextmanager
 def signals_held(*numbers: int) -> Iterator[None]:
-    """Hold back signals meanwhile; without effect outside the main thread, which receives them."""
+    """Defer signals; without effect outside the main thread, which receives them."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, numbers)
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, numbers)
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Cell = str | bool | int | float | Measured | None
 
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-# How readers see a unit -> how astropy spells it.
+# Displayed unit -> astropy's name
 _UNIT_NAMES = {
     "px": "pix",
     "px²": "pix2",
@@ -42,7 +42,7 @@ _UNIT_NAMES = {
     "10⁻⁶/K": "1e-6/K",
 }
 _TELEPHONE_LETTERS = 50
-"""In a line of a table, 354 px wide."""
+"""Letters in a line of a table, 354 px wide."""
 _MINUS = "\N{MINUS SIGN}"
 _NOTHING = "\N{EN DASH}"
 
@@ -51,10 +51,10 @@ _NOTHING = "\N{EN DASH}"
 class Column:
     """A column of a `Table`."""
 
-    name: str  # Heading for readers
-    unit: str = ""  # Shown under the heading; "" for none
-    key: str = ""  # Column name in the ECSV file; made from name and unit if left empty
-    # Format of plain floats, e.g. ".3f"; "" shows four significant digits. `Measured` values follow their uncertainty
+    name: str  # Heading
+    unit: str = ""  # Displayed under the heading
+    key: str = ""  # Column name in the ECSV file; default: from name and unit
+    # Format of plain floats, e.g. ".3f"; default: four significant digits. `Measured` values follow their uncertainty
     format: str = ""
 
 
@@ -65,8 +65,8 @@ class Table:
     columns: Sequence[Column | str]  # A bare string is a column without unit
     # Cells: text, number, bool, `Measured` (value ± uncertainty), or None for an empty cell
     rows: Sequence[Sequence[Cell]]
-    caption: str = ""  # What the table shows
-    note: str = ""  # Small print beneath it: what the uncertainties are, the N behind them
+    caption: str = ""
+    note: str = ""  # Small print under the table: kind of the uncertainties, sample size
 
     def __post_init__(self) -> None:
         columns = tuple(Column(name=column) if isinstance(column, str) else column for column in self.columns)
@@ -85,14 +85,14 @@ class Table:
 
     @property
     def wide(self) -> bool:
-        """Whether a telephone cannot show all columns: there each row folds, every value with the head of its column.
+        """Whether a telephone cannot show all columns, so that rows fold, every value with the head of its column.
 
-        Words break, so that of each text only the longest word counts.
+        Lines break between words: a column is as wide as its longest word.
         """
         letters = 0
         for index, head in enumerate(self.heads):
-            shown = [cell_text(row[index], head.format) for row in self.rows]
-            texts = shown if self.numeric(index) else [word for text in shown for word in text.split()]
+            texts = [cell_text(row[index], head.format) for row in self.rows]
+            texts = texts if self.numeric(index) else [word for text in texts for word in text.split()]
             letters += max(map(len, [*head.name.split(), head.unit, *texts]), default=0) + 2
         return letters > _TELEPHONE_LETTERS
 
@@ -102,8 +102,8 @@ class Table:
         return bool(cells) and not any(isinstance(cell, (str, bool, np.bool_)) for cell in cells)
 
 
-def cell_text(cell: Any, format_spec: str = "") -> str:  # one return per type
-    """A cell as text for people: real minus signs, powers of ten, value ± uncertainty, a dash for nothing."""
+def cell_text(cell: Any, format_spec: str = "") -> str:
+    """A cell as displayed: real minus signs, powers of ten, value ± uncertainty, a dash for nothing."""
     match cell:
         case None:
             return ""
@@ -120,7 +120,7 @@ def cell_text(cell: Any, format_spec: str = "") -> str:  # one return per type
 
 
 def to_astropy(table: Table) -> astropy.table.Table:
-    """The table for machines: full precision, units, one more column ``KEY_error`` where cells carry an uncertainty."""
+    """The table in full precision, with units and a column ``KEY_error`` for cells with an uncertainty."""
     from astropy.table import Column as AstropyColumn
     from astropy.table import Table as AstropyTable
 
@@ -128,30 +128,27 @@ def to_astropy(table: Table) -> astropy.table.Table:
     for index, column in enumerate(table.heads):
         cells = [row[index] for row in table.rows]
         key = column.key or "_".join(re.findall(r"[a-z0-9]+", f"{column.name} {column.unit}".lower()))
-        unit = _machine_unit(column.unit)
+        unit = _astropy_unit(column.unit)
         values = [cell.value if isinstance(cell, Measured) else cell for cell in cells]
-        if table.numeric(index):
-            values = [math.nan if value is None else value for value in values]
-        else:
-            values = ["" if value is None else value for value in values]
-        result[key] = AstropyColumn(values, unit=unit)
+        empty = math.nan if table.numeric(index) else ""
+        result[key] = AstropyColumn([empty if value is None else value for value in values], unit=unit)
         if any(isinstance(cell, Measured) and cell.uncertainty is not None for cell in cells):
-            errors = [cell.uncertainty if isinstance(cell, Measured) else None for cell in cells]
-            filled = [math.nan if error is None else error for error in errors]
-            result[f"{key}_error"] = AstropyColumn(filled, unit=unit, description="1 sigma")
+            errors = [getattr(cell, "uncertainty", None) for cell in cells]
+            errors = [math.nan if error is None else error for error in errors]
+            result[f"{key}_error"] = AstropyColumn(errors, unit=unit, description="1 sigma")
     return result
 
 
 def write_ecsv(table: Table | astropy.table.Table, path: Path) -> None:
     """Write an ECSV file, which astropy, TOPCAT and any CSV reader that skips ``#`` can read."""
-    made = to_astropy(table) if isinstance(table, Table) else table
-    # Importing colour-science switches NumPy's printing to its 1.13 style, 12 digits, which astropy then writes.
+    columns = to_astropy(table) if isinstance(table, Table) else table
+    # Importing colour-science switches NumPy's printing to its 1.13 style, 12 digits, which astropy then writes
     with np.printoptions(legacy=False):
-        made.write(path, format="ascii.ecsv", delimiter=",")
+        columns.write(path, format="ascii.ecsv", delimiter=",")
 
 
 def to_rich(table: Table, width: int = 80) -> rich.console.Group:
-    """The table for a terminal; where it is too wide, parts below each other that repeat the first columns."""
+    """The table for a terminal; if it is too wide, parts below each other that repeat the first columns."""
     from rich import box
     from rich.console import Group
     from rich.table import Table as RichTable
@@ -163,12 +160,12 @@ def to_rich(table: Table, width: int = 80) -> rich.console.Group:
     ]
     parts = []
     for widths in _parts(table, heads, cells, width):
-        made = RichTable(box=box.SIMPLE_HEAD, pad_edge=False)
+        part = RichTable(box=box.SIMPLE_HEAD, pad_edge=False)
         for index, letters in widths.items():
-            made.add_column(Text(heads[index]), justify="right" if table.numeric(index) else "left", width=letters)
+            part.add_column(Text(heads[index]), justify="right" if table.numeric(index) else "left", width=letters)
         for row in cells:
-            made.add_row(*(Text(row[index]) for index in widths))
-        parts.append(made)
+            part.add_row(*(Text(row[index]) for index in widths))
+        parts.append(part)
     note = [Text(re.sub("[`*]", "", table.note), style="dim")] if table.note else []
     return Group(Text(table.caption, style="bold"), *parts, *note)
 
@@ -183,27 +180,27 @@ def _parts(table: Table, heads: Sequence[str], cells: Sequence[Sequence[str]], w
         for chosen in (texts, [texts[k] if table.numeric(k) else words[k] for k in columns])
     )
 
-    def room(widths: Iterable[int]) -> int:
+    def spare(widths: Iterable[int]) -> int:
         return width + 1 - sum(letters + 3 for letters in widths)
 
     first = next((k for k in columns if table.numeric(k)), 0) or 1
     parts = [list(columns[:first])]
     for k in columns[first:]:
-        if len(parts[-1]) > first and room(least[n] for n in (*parts[-1], k)) < 0:
+        if len(parts[-1]) > first and spare(least[n] for n in (*parts[-1], k)) < 0:
             parts.append(list(columns[:first]))
         parts[-1].append(k)
     fitted = [{k: full[k] for k in part} for part in parts]
     for widths in fitted:
-        while room(widths.values()) < 0 and (narrower := [k for k in widths if widths[k] > least[k]]):
+        while spare(widths.values()) < 0 and (narrower := [k for k in widths if widths[k] > least[k]]):
             widths[max(narrower, key=widths.__getitem__)] -= 1
     return fitted
 
 
-def _machine_unit(shown: str) -> Any:
-    """astropy's unit for one written for readers; an unknown one is kept as text."""
+def _astropy_unit(displayed: str) -> Any:
+    """astropy's unit for a displayed one; an unknown one stays text."""
     from astropy.units import Unit
 
-    return Unit(_UNIT_NAMES.get(shown, shown), parse_strict="silent") if shown else None
+    return Unit(_UNIT_NAMES.get(displayed, displayed), parse_strict="silent") if displayed else None
 
 
 def _typeset(text: str) -> str:

@@ -13,7 +13,7 @@ from typing import Any
 import click
 
 from experiments.harness.interrupts import EXIT_BROKEN, EXIT_FAILED, EXIT_GOOD, EXIT_INTERRUPTED, interrupts
-from experiments.harness.registry import found
+from experiments.harness.registry import experiment_names
 from optics.errors import ConfigError, unknown_name
 from optics.textfile import write_text
 
@@ -37,21 +37,23 @@ MARK = '<meta name="generator" content="starbench">'
 @click.argument("names", nargs=-1)
 def run_all(out: str, names: tuple[str, ...], **options: str | int | bool | None) -> int:
     """Run experiments one after the other."""
-    known, interrupts.at_once = found(), False
+    answers, interrupts.at_once = experiment_names(), False
     for name in names:
-        if name not in known:
-            raise unknown_name("experiment", name, known)
-    given = [(f"--{name}", value) for name, value in options.items() if value is not None and value is not False]
-    words = [word for option, value in given for word in ((option,) if value is True else (option, str(value)))]
+        if name not in answers:
+            raise unknown_name("experiment", name, answers)
+    words = []
+    for option, value in options.items():
+        if value is not None and value is not False:
+            words += [f"--{option}"] if value is True else [f"--{option}", str(value)]
     folder, entries = _folder(out), list[dict[str, Any]]()
-    for name in [name for name in known if not names or name in names]:
+    for name in [name for name in answers if not names or name in names]:
         click.echo(f"\n== {name}")
         command = [sys.executable, "-m", "experiments", name, "--out", str(folder / name), *words]
         try:
             status = subprocess.run(command, check=False).returncode
-        except KeyboardInterrupt:  # the child had it too, and wrote nothing
+        except KeyboardInterrupt:  # the child received it too and wrote nothing
             status = EXIT_INTERRUPTED
-        entries.append(read_entry(folder / name, status) | {"name": name, "about": known[name]})
+        entries.append(read_entry(folder / name, status) | {"name": name, "about": answers[name]})
         write_index(entries, folder)
         if status == EXIT_INTERRUPTED:
             return EXIT_INTERRUPTED
@@ -61,7 +63,7 @@ def run_all(out: str, names: tuple[str, ...], **options: str | int | bool | None
 
 
 def _folder(out: str) -> Path:
-    """The folder of the page, made if need be."""
+    """The folder of the page, which is created."""
     folder = Path(out)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -81,10 +83,10 @@ def read_entry(folder: Path, status: int) -> dict[str, Any]:
         return {"status": status, "verdict": f"no result (exit code {status})"}
     criteria = json.loads((folder / "summary.json").read_text(encoding="utf-8"))["criteria"]
     origin = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))
-    named = {state: [one["name"] for one in criteria if one["passed"] is state] for state in (True, False, None)}
-    verdict = f"{len(named[True])} of {len(criteria) - len(named[None])} criteria hold"
-    verdict += f"; not: {'; '.join(named[False])}" if named[False] else ""
-    verdict += f"; {len(named[None])} not judged" if named[None] else ""
+    met, missed, open_ = ([c["name"] for c in criteria if c["passed"] is state] for state in (True, False, None))
+    verdict = f"{len(met)} of {len(met) + len(missed)} criteria hold"
+    verdict += f"; not: {'; '.join(missed)}" if missed else ""
+    verdict += f"; {len(open_)} not judged" if open_ else ""
     return {"status": status, "verdict": verdict, "runtime_s": origin["runtime_s"], "quick": origin["quick"]}
 
 

@@ -40,4 +40,4 @@ def reduce(frames: str, method: str, others: tuple[str, ...]) -> int:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Exit status of the command."""
-    return invoke(reduce, sys.argv[1:] if argv is None else argv, prog="starbench reduce", alone=argv is None)
+    return invoke(reduce, sys.argv[1:] if argv is None else argv, prog="starbench reduce", own_process=argv is None)

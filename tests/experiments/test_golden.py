@@ -68,9 +68,9 @@ def test_a_quick_run_has_the_names_that_readers_rely_on(quick_run_of, name):
 
 
 def test_every_experiment_has_its_names():
-    from experiments.harness.registry import found
+    from experiments.harness.registry import experiment_names
 
-    assert sorted(found()) == NAMES
+    assert sorted(experiment_names()) == NAMES
 
 
 if __name__ == "__main__":

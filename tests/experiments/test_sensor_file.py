@@ -12,13 +12,13 @@ import pytest
 
 from experiments.__main__ import main as starbench
 from experiments.harness.config import load_config
-from experiments.harness.registry import found
+from experiments.harness.registry import experiment_names
 from experiments.laboratory.settings.sensor_file import SensorConfig
 from optics.errors import ConfigError
 
 EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "triplet_50mm" / "sensor.toml"
 WITHOUT_SENSOR = {"cube"}
-OF_ONE_CAMERA = [name for name in found() if name not in {*WITHOUT_SENSOR, "acf", "skycal", "twin"}]
+OF_ONE_CAMERA = [name for name in experiment_names() if name not in {*WITHOUT_SENSOR, "acf", "skycal", "twin"}]
 
 
 def config_class(name):
@@ -30,7 +30,7 @@ def printed(name, capsys, *options):
     return capsys.readouterr().out
 
 
-@pytest.mark.parametrize("name", found())
+@pytest.mark.parametrize("name", experiment_names())
 def test_the_whole_configuration_reads_back_the_same(name, tmp_path, capsys):
     file = tmp_path / "all.toml"
     file.write_text(printed(name, capsys, "--defaults", "all", "--seed", "7"), encoding="utf-8")
@@ -46,7 +46,7 @@ def test_the_sensor_of_an_experiment_reads_back_the_same(name, tmp_path, capsys)
     assert load_config(model, sensor=file) == load_config(model, settings=settings)
 
 
-@pytest.mark.parametrize("name", sorted({*found()} - WITHOUT_SENSOR))
+@pytest.mark.parametrize("name", sorted({*experiment_names()} - WITHOUT_SENSOR))
 def test_a_sensor_file_is_written_out_in_full_and_means_the_same(name, tmp_path, capsys):
     """Every key of the model is there, set or as a comment; reading it again changes nothing, from any folder."""
     text = printed(name, capsys, "--sensor", str(EXAMPLE), "--defaults")

@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, model_validator
 
-from experiments.harness.config import AngleDeg, OddPx, PlacePx
+from experiments.harness.config import AngleDeg, OddPx, PositionPx
 from experiments.laboratory.settings.own_frames import OwnFramesConfig
 from experiments.laboratory.settings.tables import SignalConfig
 from optics.settings import StrictModel
@@ -74,7 +74,7 @@ class SingleStarConfig(OwnFramesConfig):
 
     instrument: InstrumentConfig = InstrumentConfig()
     passband: PassbandConfig = PassbandConfig()
-    principal_point_px: tuple[PlacePx, PlacePx] = Field(
+    principal_point_px: tuple[PositionPx, PositionPx] = Field(
         default=(12.0, -8.0), description="principal point, from the detector's centre"
     )
     installation_deg: tuple[AngleDeg, AngleDeg, AngleDeg] = Field(

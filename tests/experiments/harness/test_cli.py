@@ -19,7 +19,7 @@ from experiments import run_experiment
 from experiments.__main__ import main as starbench
 from experiments.harness import registry
 from experiments.harness.cli import command
-from experiments.harness.registry import found
+from experiments.harness.registry import experiment_names
 from optics.errors import ConfigError
 
 ROOT = Path(__file__).parents[3]
@@ -213,7 +213,7 @@ def test_packages_with_an_experiment_are_found_and_nothing_of_their_work_is_impo
     monkeypatch.setattr(registry.home, "__name__", "experiments")
     registry._packages.cache_clear()
     try:
-        assert found() == {"outside": "What does outside answer?"}
+        assert experiment_names() == {"outside": "What does outside answer?"}
     finally:
         registry._packages.cache_clear()
         for name in parts:
@@ -242,7 +242,7 @@ def test_listing_imports_nothing_heavy():
     )
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    for name in found():
+    for name in experiment_names():
         assert name in done.stdout
 
 

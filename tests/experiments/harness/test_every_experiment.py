@@ -9,7 +9,7 @@ import pytest
 
 from experiments.__main__ import main as starbench
 from experiments.harness.config import load_config
-from experiments.harness.registry import declared, found
+from experiments.harness.registry import declared, experiment_names
 
 ROOT = Path(__file__).parents[3]
 TIME = r"\d+ (s|min|minutes|h)"
@@ -23,13 +23,13 @@ def test_experiments_alone_are_listed(capsys):
     )
 
 
-@pytest.mark.parametrize("name", found())
+@pytest.mark.parametrize("name", experiment_names())
 def test_help_says_what_it_answers_how_long_it_takes_and_how_it_is_used(name, capsys):
     experiment = declared(name)
     assert experiment.name == name
     assert starbench([name, "--help"]) == 0
     said = capsys.readouterr().out
-    assert found()[name] in " ".join(said.split())
+    assert experiment_names()[name] in " ".join(said.split())
     assert re.search(rf"Takes {TIME} \(--quick: {TIME}\) on two cores", said)
     examples = re.findall(rf"^ +python -m experiments\.{name} (.+)\n +(\S.*)$", said, re.M)
     assert len(examples) >= 2

@@ -11,7 +11,7 @@ import pytest
 
 from experiments.harness.pivot import pivot
 from experiments.harness.quantities import Outcome, Quantities, to_results
-from experiments.harness.registry import declaration_of, found
+from experiments.harness.registry import declaration_of, experiment_names
 from experiments.harness.sections import (
     Section,
     above,
@@ -110,7 +110,7 @@ def test_what_an_error_is_a_part_of():
 # --- Every experiment that is declared in sections
 
 
-@pytest.mark.parametrize("name", found())
+@pytest.mark.parametrize("name", experiment_names())
 def test_sections_name_quantities_that_are_described(name):
     """Names in figures, verdicts, columns are strings that only a run would check."""
     declared = import_module(declaration_of(f"experiments.{name}")).experiment
@@ -131,7 +131,7 @@ def test_sections_name_quantities_that_are_described(name):
 QUERY = re.compile(r"""(?:value|values|errors|quantity|heading|dims)\("([\w.]+)"|"([\w.]+)" (?:not )?in outcome""")
 
 
-@pytest.mark.parametrize("name", found())
+@pytest.mark.parametrize("name", experiment_names())
 def test_reports_name_quantities_that_are_described(name):
     declared = import_module(declaration_of(f"experiments.{name}")).experiment
     fields = [(key, field) for key, section in declared.parts(None).items() for field in section.columns_of()]

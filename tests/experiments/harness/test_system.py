@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from experiments.harness import system
 from experiments.harness.interrupts import invoke
-from experiments.harness.system import THREADS, aside, one_thread, prompt_pool, shared
+from experiments.harness.system import THREADS, forked, one_thread, prompt_pool, shared
 
 
 def test_one_process_at_a_time_holds_a_folder(tmp_path):
@@ -50,7 +50,7 @@ def test_signs_that_an_encoding_lacks(monkeypatch):
     written = io.BytesIO()
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(written, encoding="cp1252"))
     show = click.Command("show", callback=lambda: print("0.3\N{DOUBLE PRIME} \N{PLUS-MINUS SIGN} 1"))
-    assert invoke(show, [], prog="show", alone=True) == 0
+    assert invoke(show, [], prog="show", own_process=True) == 0
     sys.stdout.flush()
     assert written.getvalue().decode("cp1252").split() == ["0.3?", "±", "1"]
 
@@ -79,7 +79,7 @@ def test_one_thread_meanwhile_and_everything_as_before_afterwards(two_threads):
 
 def test_what_the_environment_says_holds(two_threads, monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "2")
-    with one_thread(unless_told=True):
+    with one_thread(unless_set=True):
         assert threads_in_use() == {2}
         assert os.environ["OMP_NUM_THREADS"] == "2"
     with one_thread():
@@ -118,7 +118,7 @@ def test_tasks_are_shared_with_a_copy_of_the_process(monkeypatch):
 def test_what_a_copy_does_not_tell_is_done_here(ends, monkeypatch):
     monkeypatch.setattr("experiments.harness.system.processors", lambda: 2)
     here = os.getpid()
-    with aside(lambda: "here" if os.getpid() == here else ends()) as result:
+    with forked(lambda: "here" if os.getpid() == here else ends()) as result:
         assert result() == "here"
     with pytest.raises(ZeroDivisionError):
         shared(lambda number: 1 // number, [1, 0, 2])

@@ -31,7 +31,7 @@ def scripted(monkeypatch, tmp_path):
         return type("Done", (), {"returncode": code})()
 
     monkeypatch.setattr(together.subprocess, "run", run)
-    monkeypatch.setattr(together, "found", lambda: KNOWN)
+    monkeypatch.setattr(together, "experiment_names", lambda: KNOWN)
     return runs, started
 
 
