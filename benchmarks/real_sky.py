@@ -13,7 +13,7 @@ import sys
 from experiments.harness.run import run_experiment
 from experiments.twin.settings import experiment
 
-TABLES = ("camera", "orders", "comparison", "completeness", "frames", "detected", "causes")
+TABLES = ("camera", "orders", "comparison", "completeness", "frames", "detections", "residuals")
 
 
 def main() -> int:

@@ -1,7 +1,7 @@
-"""Real frames and the twin's, reduced by the same code: statistics of each.
+"""Statistics of real and rendered frames, both reduced by the same code.
 
 Every statistic is computed from a set of frames. The twin renders the set several times; the scatter of these sets is
-the standard deviation of one set, real or rendered, and divided by the root of their number that of the twin's mean.
+the standard deviation of a single set, real or rendered; over the root of the number of sets, that of their mean.
 """
 
 from __future__ import annotations
@@ -34,132 +34,136 @@ from experiments.twin.measure import CameraFit, PreparedNight, star_fluxes
 from experiments.twin.night import PAIR_PX, detections, field_stars, identify, masked_pixels
 from optics.arrays import FloatArray, IntArray
 
-THRESHOLDS = (5.0, 6.0)
+THRESHOLDS_SIGMA = (5.0, 6.0)
 CLIP_PX = 0.7
 ISOLATED_PX, EDGE_PX = 8.0, 4.0
-BRIGHT_MAG, BIN_MAG = 1.5, 0.25
-"""Magnitudes above the limit of bright stars, and half of the bin in which their significance is stated."""
+BRIGHT_MAG = 1.5
+"""Bright stars: brighter than the limiting magnitude by this."""
+HALF_BIN_MAG = 0.25
+"""Half width of the magnitude bin in which the median SNR is stated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FrameStatistics:
-    """One frame, reduced."""
+    """Reduction of a frame: n catalogue stars, f false detections, m matched, isolated stars with a valid fit."""
 
-    magnitude: FloatArray  # (n,) Catalogue stars on the detector
-    height: FloatArray  # (n,) Significance at which each was detected; 0 if it was not
-    false: FloatArray  # (f,) Significance of detections without a star
-    trail: int  # Detections along lines, which are not counted as false
-    star_magnitude: FloatArray  # (m,) Of matched, isolated, well measured stars
-    star_colour: IntArray  # (m,) Their colour class
+    magnitude: FloatArray  # (n,) Of the catalogue stars on the detector
+    significance: FloatArray  # (n,) Of their detections; 0 if not detected
+    false_significance: FloatArray  # (f,) Of detections without a star
+    trail_detections: int  # Along lines; not counted as false
+    star_magnitude: FloatArray  # (m,)
+    star_colour: IntArray  # (m,) Colour class
     width_px: FloatArray  # (m,) Of a Gaussian fit
-    residual_px: FloatArray  # (m, 2) Of the camera, attitude of this frame
+    residual_px: FloatArray  # (m, 2) About the camera model, the attitude fitted to this frame
     position_px: FloatArray  # (m, 2)
     blocks: SkyBlocks
-    fluxes: dict[str, Any]  # Of the isolated bright stars
-    halves_arcsec: FloatArray  # (3,) Between the attitudes by every other star, over 2
-    solved: bool  # Blind
+    fluxes: dict[str, Any]  # Columns of `star_fluxes`: isolated bright stars
+    split_half_arcsec: FloatArray  # (3,) Half the difference of the attitudes from two halves of the stars
+    solved: bool  # Whether the blind identification succeeds
 
 
 def frame_statistics(
-    known: PreparedNight,
+    prepared: PreparedNight,
     number: int,
     image: SensorImage,
     fit: CameraFit,
     identifier: BlindIdentifier,
     noise: FilteredNoise | None = None,
 ) -> FrameStatistics:
-    """Reduce one frame with the camera that is believed; ``noise`` sets the limit of detection, if not the frame's."""
+    """Reduce a frame with a measured camera; ``noise`` sets the detection limit in place of the frame's noise."""
     detected = detections(image, noise=noise)
-    frame = replace(known.night.frames[number], image=image, detected=detected)
-    rows, stars = frame.matched(fit.attitudes[number], fit.camera, PAIR_PX)
+    frame = replace(prepared.night.frames[number], image=image, detected=detected)
+    rows, star_rows = frame.matched(fit.attitudes[number], fit.camera, PAIR_PX)
     table = detected.stars.select(rows)
     matched = Observations(
         pixel_px=table.pixel_px,
         covariance_px2=table.covariance[:, :2, :2] + fit.floor_px**2 * np.eye(2),
-        direction=frame.direction[stars],
+        direction=frame.direction[star_rows],
         frame=np.zeros(len(rows), np.int64),
         frames=1,
     )
     residual, used = predicted_residuals(matched, fit.camera)
-    field = field_stars(frame, known.night.sky, fit.camera, frame_attitude(matched, fit.camera))
+    field = field_stars(frame, prepared.night.sky, fit.camera, frame_attitude(matched, fit.camera))
     inside = fit.camera.geometry.contains(field.position_px, margin_px=-EDGE_PX)
-    height, false = detected.pairs(field)
-    trail = has_flag(detected.stars.flags[false], StarFlag.TRAIL)
-    row_of = {int(row): k for k, row in enumerate(field.row)}
-    at = np.array([row_of.get(int(row), -1) for row in frame.rows[stars]], np.int64)
-    good = used & (at >= 0)
-    good[good] &= isolated(field.position_px, field.magnitude, ISOLATED_PX)[at[good]]
+    significance, false = detected.match(field)
+    on_trail = has_flag(detected.stars.flags[false], StarFlag.TRAIL)
+    field_row = {int(row): k for k, row in enumerate(field.row)}
+    field_rows = np.array([field_row.get(int(row), -1) for row in frame.rows[star_rows]], np.int64)
+    good = used & (field_rows >= 0)
+    good[good] &= isolated(field.position_px, field.magnitude, ISOLATED_PX)[field_rows[good]]
+    good_rows = field_rows[good]
     return FrameStatistics(
         magnitude=field.magnitude[inside],
-        height=height[inside],
-        false=detected.significance[false[~trail]],
-        trail=int(trail.sum()),
-        star_magnitude=field.magnitude[at[good]],
-        star_colour=field.colour_class[at[good]],
+        significance=significance[inside],
+        false_significance=detected.significance[false[~on_trail]],
+        trail_detections=int(on_trail.sum()),
+        star_magnitude=field.magnitude[good_rows],
+        star_colour=field.colour_class[good_rows],
         width_px=table.width_px[good],
         residual_px=residual[good],
         position_px=table.pixel_px[good],
-        blocks=sky_blocks(image.dn, masked_pixels(image, field, detected, known.hot, known.width_px)),
-        fluxes=star_fluxes(known, [frame], [field], fit.noise, fit.psf),
-        halves_arcsec=split_half_error_arcsec(matched.select(used), fit.camera),
+        blocks=sky_blocks(image.dn, masked_pixels(image, field, detected, prepared.hot, prepared.width_px)),
+        fluxes=star_fluxes(prepared, [frame], [field], fit.noise, fit.psf),
+        split_half_arcsec=split_half_error_arcsec(matched.select(used), fit.camera),
         solved=identify(detected, identifier)[0].ok,
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Statistic:
-    """Statistic of the comparison."""
+    """Statistic of a set of frames."""
 
     key: str
     label: str
     unit: str
     value: float
-    limit: float  # Largest deviation that is allowed; NaN where it is only shown
-    relative: bool  # Whether the deviation is relative to the real value
+    limit: float  # Allowed difference of twin and real; NaN where it is not judged
+    relative: bool  # Whether the difference is relative to the real value
 
 
 def joined(frames: Sequence[FrameStatistics], name: str) -> FloatArray:
-    """A column of all frames."""
+    """A field of all frames, concatenated."""
     return np.concatenate([getattr(frame, name) for frame in frames])
 
 
-def limit_of(frames: Sequence[FrameStatistics], threshold: float) -> float:
+def half_detected_mag(frames: Sequence[FrameStatistics], threshold: float) -> float:
     """Magnitude at which half of the stars are detected."""
-    return limiting_magnitude(joined(frames, "magnitude"), joined(frames, "height") >= threshold)
+    return limiting_magnitude(joined(frames, "magnitude"), joined(frames, "significance") >= threshold)
 
 
 def statistics_of(frames: Sequence[FrameStatistics], limit_mag: float, airmass: FloatArray) -> list[Statistic]:
-    """All statistics of a set; ``limit_mag`` sets the classes of magnitude, the same for real and twin."""
+    """All statistics of a set; the magnitude classes follow from ``limit_mag``, the same for real and rendered."""
     out: list[Statistic] = []
 
     def add(key: str, label: str, value: float, unit: str = "", limit: float = np.nan, relative: bool = True) -> None:
         out.append(Statistic(key=key, label=label, unit=unit, value=float(value), limit=limit, relative=relative))
 
-    height = joined(frames, "height")
-    for sigma in THRESHOLDS:
-        add(f"stars_{sigma:g}", f"stars in all frames, {sigma:g} sigma", (height >= sigma).sum(), limit=0.02)
-        words = f"magnitude at which half are detected, {sigma:g} sigma"
-        add(f"limit_{sigma:g}_mag", words, limit_of(frames, sigma), "mag", 0.05, relative=False)
+    significance = joined(frames, "significance")
+    for sigma in THRESHOLDS_SIGMA:
+        add(f"stars_{sigma:g}", f"stars in all frames, {sigma:g} sigma", (significance >= sigma).sum(), limit=0.02)
+        label = f"magnitude at which half are detected, {sigma:g} sigma"
+        add(f"limit_{sigma:g}_mag", label, half_detected_mag(frames, sigma), "mag", 0.05, relative=False)
     blocks = [frame.blocks for frame in frames]
     noise = float(np.mean([np.sqrt(np.nanmedian(block.variance_dn2)) for block in blocks]))
     add("noise_dn", "noise of the background, mean of the frames", noise, "DN", 0.01)
-    _add_shapes(add, frames, limit_mag)
+    _add_widths_and_residuals(add, frames, limit_mag)
     scatter = _scatter(frames)
-    add_scatter = {"all": ("", np.ones(len(frames), bool))}
+    altitudes = {"all": ("", np.ones(len(frames), bool))}
     if np.isfinite(airmass).all() and np.ptp(airmass) > 0.1:
-        deep = airmass > 0.5 * (airmass.min() + airmass.max())
-        add_scatter = {"low": (", low frames", deep), "high": (", high frames", ~deep)}
-    for name, (words, chosen) in add_scatter.items():
-        add(f"scatter_{name}_mag", f"scatter of photometry{words}", clipped_mean(scatter[chosen]), "mag", 0.15)
-    rows = (np.abs(joined(frames, "magnitude") - (limit_mag - BRIGHT_MAG)) < BIN_MAG) & (height > 0)
-    add("snr", f"signal over noise at {limit_mag - BRIGHT_MAG:.1f} mag", np.median(height[rows]))
+        low = airmass > 0.5 * (airmass.min() + airmass.max())
+        altitudes = {"low": (", low frames", low), "high": (", high frames", ~low)}
+    for name, (suffix, selected) in altitudes.items():
+        add(f"scatter_{name}_mag", f"scatter of photometry{suffix}", clipped_mean(scatter[selected]), "mag", 0.15)
+    bright_mag = limit_mag - BRIGHT_MAG
+    in_bin = (np.abs(joined(frames, "magnitude") - bright_mag) < HALF_BIN_MAG) & (significance > 0)
+    add("snr", f"signal over noise at {bright_mag:.1f} mag", np.median(significance[in_bin]))
     x, y, _ = neighbour_correlation(blocks)
     add("correlation", "correlation of neighbouring pixels", (x + y) / 2.0, limit=0.01, relative=False)
     for side, ratio in zip((2, 8, 32), averaging_ratio(blocks), strict=True):
         add(f"averaging_{side}", f"noise of means of {side} × {side} px over that of white noise", ratio)
     add("tail", "fraction of background pixels beyond 3 sigma", 100.0 * tail_fraction(blocks), "percent")
     across, roll = (
-        float(np.sqrt(np.nanmean([np.mean(frame.halves_arcsec[axes] ** 2) for frame in frames])))
+        float(np.sqrt(np.nanmean([np.mean(frame.split_half_arcsec[axes] ** 2) for frame in frames])))
         for axes in (slice(2), slice(2, 3))
     )
     add("attitude_arcsec", "attitude error across, from two halves of the stars", across, "arcsec")
@@ -169,7 +173,7 @@ def statistics_of(frames: Sequence[FrameStatistics], limit_mag: float, airmass: 
     return out
 
 
-def _add_shapes(add: Any, frames: Sequence[FrameStatistics], limit_mag: float) -> None:
+def _add_widths_and_residuals(add: Any, frames: Sequence[FrameStatistics], limit_mag: float) -> None:
     """Widths of bright stars by colour, residuals by magnitude."""
     magnitude, width, colour, residual = (
         joined(frames, name) for name in ("star_magnitude", "width_px", "star_colour", "residual_px")
@@ -177,17 +181,17 @@ def _add_shapes(add: Any, frames: Sequence[FrameStatistics], limit_mag: float) -
     bright = magnitude < limit_mag - BRIGHT_MAG
     add("width_px", "width of stars, Gaussian fit", clipped_mean(width[bright]), "px", 0.02)
     add("width_spread_px", "spread of the width", quantile_sigma(width[bright]), "px", 0.25)
-    for k, words in enumerate(COLOUR_NAMES):
+    for k, colour_name in enumerate(COLOUR_NAMES):
         mean = clipped_mean(width[bright & (colour == k)])
-        add(f"width_{k}_px", f"width, stars {words}", mean, "px", 0.04)
+        add(f"width_{k}_px", f"width, stars {colour_name}", mean, "px", 0.04)
     edges = (-np.inf, limit_mag - 2.0, limit_mag - 1.0, np.inf)
-    for low, high, words in zip(edges, edges[1:], ("bright", "middle", "faint"), strict=False):
+    for low, high, name in zip(edges, edges[1:], ("bright", "middle", "faint"), strict=False):
         rms = rms_within(residual[(magnitude >= low) & (magnitude < high)], CLIP_PX)
-        add(f"residual_{words}_px", f"residual of the camera, {words} stars", rms, "px", 0.10)
+        add(f"residual_{name}_px", f"residual of the camera, {name} stars", rms, "px", 0.10)
 
 
 def _scatter(frames: Sequence[FrameStatistics]) -> FloatArray:
-    """Photometric scatter of each frame [mag], all frames fitted together."""
+    """Photometric scatter of each frame [mag] about the fit to all."""
     columns: dict[str, Any] = {
         name: np.concatenate([frame.fluxes[name] for frame in frames]) for name in frames[0].fluxes
     }

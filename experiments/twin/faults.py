@@ -1,4 +1,4 @@
-"""Faults of a frame in one sentence each, with the measurements that remain valid."""
+"""Faults of a frame, each a sentence with the measurements that remain valid."""
 
 from __future__ import annotations
 
@@ -10,53 +10,53 @@ from calib.records import SensorImage
 from experiments.twin.night import Detections, FrameSolution
 from optics.units import RAD_ARCSEC
 
-FILLED = 0.5
-"""Fraction of the converter's range from which a background is daylight."""
+DAYLIGHT_FRACTION = 0.5
+"""Background over the converter's range from which a frame is taken in daylight."""
 FEWEST = 4
 WIDE_PX = 2.5
-"""Width from which stars count as out of focus: a Gaussian fit sees only the middle of a disk."""
-EMPTY = 0.4
-"""Fraction of a frame without a star from which clouds are the likely reason."""
+"""Width (sigma) above which stars are out of focus; a Gaussian fit follows only the middle of a disk."""
+CLOUDED_FRACTION = 0.4
+"""Fraction of a frame without a star above which clouds are the likely reason."""
 
 
 def likely_fault(frame: FrameSolution) -> str:
-    """The likely reason why a frame has no solution, and its remaining measurements."""
-    count, shape = int(frame.detected.usable.sum()), shape_words(frame.image, frame.detected)
+    """Likely reason why a frame has no solution, with its background and noise."""
+    count, shape = int(frame.detected.usable.sum()), shape_fault(frame.image, frame.detected)
     empty = empty_fraction(frame.image.dn.shape, frame.detected.start_px[frame.detected.usable])
     conversion, dn, message = frame.image.conversion, frame.image.dn, frame.identification.message
     full = conversion.full / conversion.step if conversion is not None and conversion.full else float(dn.max())
-    if np.median(dn) > FILLED * max(full, 1.0):
-        words = "daylight or twilight: the background takes more than half of the range; wait for dusk"
+    if np.median(dn) > DAYLIGHT_FRACTION * max(full, 1.0):
+        reason = "daylight or twilight: the background takes more than half of the range; wait for dusk"
     elif "mirrored" in message:
-        words = f"{message}; widths and noise remain valid"
+        reason = f"{message}; widths and noise remain valid"
     elif shape:
-        words = f"{shape}; {count} detections are too few to identify them"
+        reason = f"{shape}; {count} detections are too few to identify them"
     elif count < FEWEST:
-        words = f"no stars: fewer than {FEWEST} detections; lens cap, clouds or too short an exposure"
-    elif empty > EMPTY:
-        words = (
+        reason = f"no stars: fewer than {FEWEST} detections; lens cap, clouds or too short an exposure"
+    elif empty > CLOUDED_FRACTION:
+        reason = (
             f"clouds or an obstacle: {100 * empty:.0f} % of the frame has no star, the {count} detections of the rest "
             f"match no part of the sky ({message})"
         )
     else:
-        words = f"{count} detections match no part of the sky: {message}"
+        reason = f"{count} detections match no part of the sky: {message}"
     noise, background = frame.image.noise, frame.detected.background
     level = noise.offset_dn + noise.gain_dn_per_e * float(np.median(background.level_e))
     sigma = noise.gain_dn_per_e * float(np.median(background.sigma_e))
-    return f"{words}. Measured nevertheless: background {level:.4g} DN, noise {sigma:.3g} DN"
+    return f"{reason}. Measured nevertheless: background {level:.4g} DN, noise {sigma:.3g} DN"
 
 
-def shape_words(image: SensorImage, detected: Detections) -> str:
-    """Trailed or out of focus, with the size; nothing where stars are points."""
+def shape_fault(image: SensorImage, detected: Detections) -> str:
+    """Trailed or out of focus, with the size; "" where stars are points."""
     order = np.argsort(-detected.significance, kind="stable")
     noise_dn = image.noise.gain_dn_per_e * float(np.median(detected.background.sigma_e))
     shape = star_shape(image.dn, detected.start_px[order], noise_dn=noise_dn)
     if shape.trail_px > 0.0:
         rate = RAD_ARCSEC * shape.trail_px / image.exposure_s if image.exposure_s else 0.0
-        turn = f", {rate:.3g} arcsec/s over the focal length in px" if rate else ""
+        rate_text = f", {rate:.3g} arcsec/s over the focal length in px" if rate else ""
         return (
             f"trailed: stars are {shape.trail_px:.1f} px long at {shape.angle_deg:.0f} deg from the columns' "
-            f"direction{turn}; shorter exposures or a steady mount"
+            f"direction{rate_text}; shorter exposures or a steady mount"
         )
     if shape.width_px > WIDE_PX:
         return f"out of focus: stars are {shape.width_px:.1f} px wide (sigma), so that faint ones are lost in the noise"

@@ -23,18 +23,18 @@ _POINTING = re.compile(r"Alt([-+]?\d+(?:\.\d+)?).?Azi?([-+]?\d+(?:\.\d+)?)", re.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NightFrame:
-    """A frame as its file gives it."""
+    """A frame and the data of its file."""
 
     name: str  # Of the file
-    image: SensorImage  # Its pixels, in steps of the converter
+    image: SensorImage  # In steps of the converter
     taken: datetime | None = None  # UTC
-    altitude_deg: float | None = None  # As the mount or the name of the file states it
+    altitude_deg: float | None = None  # Of the boresight, stated by the name of the file
 
 
 def night_frames(folder: str | Path) -> tuple[tuple[NightFrame, ...], tuple[str, ...]]:
-    """Frames of a folder in the order of their names, and remarks on files left out.
+    """Frames of a folder in the order of their names, and notes on rejected files.
 
-    All have the size of the commonest; files of another camera, links to nowhere and unreadable files are named.
+    Frames of the commonest size and converter step are taken; the notes name all other files.
     """
     folder = Path(folder)
     if not os.path.isdir(folder):
@@ -61,9 +61,9 @@ def night_frames(folder: str | Path) -> tuple[tuple[NightFrame, ...], tuple[str,
     if not frames:
         reasons = f": {'; '.join(notes)}" if notes else ""
         raise ConfigError(f"--frames {folder}: no readable frame (TIFF, PNG, JPEG, FITS, NumPy) in it{reasons}")
-    kinds = Counter(_kind(frame) for frame in frames)
-    common, count = kinds.most_common(1)[0]
-    for kind in kinds:
+    formats = Counter(_kind(frame) for frame in frames)
+    common, count = formats.most_common(1)[0]
+    for kind in formats:
         if kind != common:
             others = ", ".join(frame.name for frame in frames if _kind(frame) == kind)
             notes.append(
@@ -74,7 +74,7 @@ def night_frames(folder: str | Path) -> tuple[tuple[NightFrame, ...], tuple[str,
 
 
 def _kind(frame: NightFrame) -> tuple[int, int, float]:
-    """What frames of one camera share: rows, columns, stored numbers per DN."""
+    """Rows, columns and stored numbers per DN, the same for all frames of a camera."""
     conversion = frame.image.conversion
     return (*frame.image.dn.shape, conversion.step if conversion else 1.0)
 
@@ -105,14 +105,14 @@ def time_of(text: str) -> datetime | None:
     match = _TIME.search(text or "")
     if match is None:
         return None
-    whole = [int(part) for part in match.groups()[:6]]
+    fields = [int(part) for part in match.groups()[:6]]
     try:
-        return datetime(*whole, int(float(match[7] or 0.0) * 1e6), tzinfo=UTC)  # type: ignore[misc, arg-type]
+        return datetime(*fields, int(float(match[7] or 0.0) * 1e6), tzinfo=UTC)  # type: ignore[misc, arg-type]
     except ValueError:
         return None
 
 
 def pointing_of(name: str) -> tuple[float, float] | None:
-    """Altitude and azimuth [deg] that a name states, as ``Alt40_Azi-135`` does."""
+    """Altitude and azimuth [deg] in a name such as ``Alt40_Azi-135``."""
     match = _POINTING.search(name)
     return None if match is None else (float(match[1]), float(match[2]))

@@ -1,7 +1,7 @@
-"""The camera from its frames: one sequence for all frames, for all but one, and for rendered frames.
+"""Measurement of a camera from its frames, the same for all frames, for all but one, and for rendered frames.
 
 Camera model by Gaussian centroids, noise of the sky without stars, PSF at the camera's star positions, centroids by
-that PSF, camera again, light of the stars. Every step uses only previous steps, so that frames can be left out.
+that PSF, camera once more, flux of the stars. No step uses a later one, so that frames can be left out.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ from experiments.twin.night import FieldStars, IdentifiedFrame, SolvedNight, fie
 from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 
-FIRST_RADII_PX, FIRST_FLOOR_PX = (5.0, 2.0, 1.2), 0.1
+START_RADII_PX, START_FLOOR_PX = (5.0, 2.0, 1.2), 0.1
 MATCH_PX = 1.2
 FLOOR_PX = 0.03
 """Error per axis of every centroid in addition to its noise: seeing, PSF, catalogue."""
 PSF_MAG, PHOTOMETRY_MAG = 1.5, 0.8
-"""The PSF comes from stars brighter than the limit by this [mag], photometry from stars 0.8 mag fainter than that."""
+"""Stars of the PSF are brighter than the limiting magnitude by 1.5 mag; photometry reaches 0.8 mag fainter."""
 PSF_STARS = 900
 PSF_WINDOW_PX, CENTROID_WINDOW_PX = 21, 9
-"""Wide enough to separate wings and background; the middle for centroids."""
+"""PSF windows hold wings and background, centroid windows the core."""
 ZONES = 3
 """Positions per axis at which the PSF is sampled for centroids."""
 FARTHEST_PX = 0.7
-"""Distance between PSF and Gaussian fit beyond which one of them has gone astray."""
+"""Distance between PSF and Gaussian fit beyond which a star is rejected."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,32 +69,32 @@ class CameraFit:
     camera: CameraModel
     calibration: Calibration
     order: str
-    attitudes: Rotation  # Of all frames of the night, those that were left out included
+    attitudes: Rotation  # Of all frames of the night, unused frames included
     noise: SkyNoise
     psf: MixturePsf
     photometry: PhotometricSolution
     gaussian: Centroids  # Measured by Gaussian fits
     fitted: Centroids  # Measured by the PSF
-    used: tuple[int, ...]  # Frames it was made of
+    used: tuple[int, ...]  # Frames of the measurement
     floor_px: float  # Error per axis beyond the noise of centroids by the PSF
 
 
-def attitudes_of(made: Calibration) -> Rotation:
-    """Attitudes of a calibration that has them."""
-    if made.attitude is None:
-        raise DomainError(f"no camera model fits the frames: {made.solution.message}")
-    return made.attitude
+def attitudes_of(calibration: Calibration) -> Rotation:
+    """Attitudes of a calibration; `DomainError` where it did not converge."""
+    if calibration.attitude is None:
+        raise DomainError(f"no camera model fits the frames: {calibration.solution.message}")
+    return calibration.attitude
 
 
 def first_camera(night: SolvedNight, camera: CameraModel, attitudes: Rotation) -> Calibration:
-    """Camera with one radial term from a pinhole and rough attitudes."""
-    for radius in FIRST_RADII_PX:
-        stars = gaussian_centroids(night, camera, attitudes, radius, floor_px=FIRST_FLOOR_PX).observations
-        made = calibrate_order(stars, camera, "pinhole" if radius == FIRST_RADII_PX[0] else "radial_1")
-        if not made.converged:
-            raise DomainError(f"no camera fits the identified stars: {made.solution.message}")
-        camera, attitudes = made.model, attitudes_of(made)
-    return made
+    """Camera with one radial distortion term, from a pinhole and the blind attitudes."""
+    for radius in START_RADII_PX:
+        stars = gaussian_centroids(night, camera, attitudes, radius, floor_px=START_FLOOR_PX).observations
+        calibration = calibrate_order(stars, camera, "pinhole" if radius == START_RADII_PX[0] else "radial_1")
+        if not calibration.converged:
+            raise DomainError(f"no camera fits the identified stars: {calibration.solution.message}")
+        camera, attitudes = calibration.model, attitudes_of(calibration)
+    return calibration
 
 
 def gaussian_centroids(
@@ -109,7 +109,7 @@ def gaussian_centroids(
 
 
 def psf_centroids(night: SolvedNight, camera: CameraModel, attitudes: Rotation, psf: MixturePsf) -> Centroids:
-    """The same stars, measured with the PSF of their position and colour."""
+    """As `gaussian_centroids`, positions measured with the PSF at the position and colour of the star."""
     axes = [np.linspace(n / 6.0, n * 5.0 / 6.0, ZONES) for n in night.size_px]
     zones = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
     bank = [psf.effective(zone, colour) for zone in zones for colour in range(4)]
@@ -127,14 +127,14 @@ def psf_centroids(night: SolvedNight, camera: CameraModel, attitudes: Rotation, 
             psf_index=zone * 4 + colour_class(night.sky.temperature_k[frame.rows[stars]]),
         )
         table = centroider.measure(stamps, frame.image.noise)
-        moved = np.hypot(*(table.pixel_px - start).T)
-        good = (moved < FARTHEST_PX) & np.isfinite(table.covariance).all(axis=(1, 2)) & ~has_flag(table.flags, UNFIT)
+        shift_px = np.hypot(*(table.pixel_px - start).T)
+        good = (shift_px < FARTHEST_PX) & np.isfinite(table.covariance).all(axis=(1, 2)) & ~has_flag(table.flags, UNFIT)
         parts.append((table.select(good), stars[good]))
     return _joined(night, parts, FLOOR_PX)
 
 
 def _joined(night: SolvedNight, parts: Sequence[tuple[StarTable, IntArray]], floor_px: float) -> Centroids:
-    """Measured stars of all frames, with their rows among the stars of the frame."""
+    """Matched stars of all frames; ``parts``: centroids of a frame and their rows in its ``direction``."""
     covariance = np.concatenate([table.covariance[:, :2, :2] for table, _ in parts])
     frames = list(zip(night.frames, parts, strict=True))
     star = np.concatenate([frame.rows[stars] for frame, (_, stars) in frames])
@@ -155,14 +155,14 @@ def _joined(night: SolvedNight, parts: Sequence[tuple[StarTable, IntArray]], flo
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PreparedNight:
-    """Common data of all cameras of a night: frames with measured noise, their sky in blocks."""
+    """Data of a night that every measurement starts from: frames with measured noise, sky in blocks, first camera."""
 
     night: SolvedNight
-    camera: CameraModel  # First one
+    camera: CameraModel  # Of `first_camera`
     attitudes: Rotation
     blocks: tuple[SkyBlocks, ...]
     hot: NDArray[np.bool_]  # (h, w)
-    width_px: float  # Typical width of a star
+    width_px: float  # Median width of a star
     limit_mag: float  # About where half of the stars are detected
 
     def stars(self, number: int, camera: CameraModel, attitudes: Rotation) -> FieldStars:
@@ -186,22 +186,22 @@ class PreparedNight:
 
 
 def prepare(
-    night: SolvedNight, made: Calibration, hot: NDArray[np.bool_], *, attitudes: Rotation | None = None
+    night: SolvedNight, calibration: Calibration, hot: NDArray[np.bool_], *, attitudes: Rotation | None = None
 ) -> PreparedNight:
-    """Masks and blocks of all frames; attitudes of the calibration if there are no better ones."""
-    attitudes = attitudes_of(made) if attitudes is None else attitudes
+    """Masks and blocks of all frames; attitudes of the calibration by default."""
+    attitudes = attitudes_of(calibration) if attitudes is None else attitudes
     tables = [frame.detected.stars.select(frame.detected.usable) for frame in night.frames]
     width = float(np.nanmedian(np.concatenate([table.width_px[table.fit] for table in tables])))
     blocks, limits = [], []
     for frame, attitude in zip(night.frames, attitudes, strict=True):
-        stars = field_stars(frame, night.sky, made.model, attitude)
+        stars = field_stars(frame, night.sky, calibration.model, attitude)
         blocks.append(sky_blocks(frame.image.dn, masked_pixels(frame.image, stars, frame.detected, hot, width)))
-        _, known = frame.matched(attitude, made.model, MATCH_PX)
-        magnitude = np.sort(night.sky.magnitude[frame.rows[known]])
+        _, star_rows = frame.matched(attitude, calibration.model, MATCH_PX)
+        magnitude = np.sort(night.sky.magnitude[frame.rows[star_rows]])
         limits += [magnitude[int(0.9 * len(magnitude))]] if len(magnitude) else []
     return PreparedNight(
         night=night,
-        camera=made.model,
+        camera=calibration.model,
         attitudes=attitudes,
         blocks=tuple(blocks),
         hot=hot,
@@ -210,50 +210,50 @@ def prepare(
     )
 
 
-def noise_of(known: PreparedNight, used: Sequence[int], black_level_dn: float | None) -> SkyNoise:
-    """Noise of some frames."""
-    blocks = [known.blocks[k] for k in used]
+def noise_of(prepared: PreparedNight, used: Sequence[int], black_level_dn: float | None) -> SkyNoise:
+    """Photon transfer of the sky in some frames."""
+    blocks = [prepared.blocks[k] for k in used]
     levels = np.concatenate([block.level_dn[np.isfinite(block.variance_dn2)] for block in blocks])
     return sky_photon_transfer(blocks, lowest_dn=np.min(levels, initial=np.inf), black_level_dn=black_level_dn)
 
 
-def choose_order(known: PreparedNight, orders: Sequence[str]) -> tuple[str, list[OrderValidation]]:
-    """Name of the order of the camera model, and the cross-validation of all that were tried; none of one frame."""
-    if len(known.night) < 2:
+def choose_order(prepared: PreparedNight, orders: Sequence[str]) -> tuple[str, list[OrderValidation]]:
+    """Order of the camera model and the cross-validation of all candidates; of a single frame "radial_1", untested."""
+    if len(prepared.night) < 2:
         return "radial_1", []
-    stars = gaussian_centroids(known.night, known.camera, known.attitudes, MATCH_PX).observations
-    tried = [cross_validate(stars, known.camera, name) for name in orders]
-    return simplest_adequate(tried).order, tried
+    stars = gaussian_centroids(prepared.night, prepared.camera, prepared.attitudes, MATCH_PX).observations
+    validations = [cross_validate(stars, prepared.camera, name) for name in orders]
+    return simplest_adequate(validations).order, validations
 
 
 def measure_camera(
-    known: PreparedNight,
+    prepared: PreparedNight,
     *,
     order: str,
     used: Sequence[int],
     black_level_dn: float | None = None,
-    near: CameraFit | None = None,
+    start: CameraFit | None = None,
 ) -> CameraFit:
-    """The camera from some frames of the night; the search for its PSF starts at that of ``near``."""
-    night = known.night
-    noise = noise_of(known, used, black_level_dn)
-    gaussian = gaussian_centroids(night, known.camera, known.attitudes, MATCH_PX)
+    """The camera from some frames of the night; the search for its PSF starts at that of ``start``."""
+    night = prepared.night
+    noise = noise_of(prepared, used, black_level_dn)
+    gaussian = gaussian_centroids(night, prepared.camera, prepared.attitudes, MATCH_PX)
     stars = gaussian.observations
-    made = calibrate_order(stars.select(np.isin(stars.frame, used)), known.camera, order)
-    attitudes = frame_attitudes(stars, made.model, list(known.attitudes))
-    psf = _psf(known, noise, made.model, attitudes, used) if near is None else near.psf
-    fitted = psf_centroids(night, made.model, attitudes, psf)
+    calibration = calibrate_order(stars.select(np.isin(stars.frame, used)), prepared.camera, order)
+    attitudes = frame_attitudes(stars, calibration.model, list(prepared.attitudes))
+    psf = _psf(prepared, noise, calibration.model, attitudes, used) if start is None else start.psf
+    fitted = psf_centroids(night, calibration.model, attitudes, psf)
     stars = fitted.observations.select(np.isin(fitted.observations.frame, used))
     stars = replace(stars, covariance_px2=stars.covariance_px2 - FLOOR_PX**2 * np.eye(2))
-    made, floor = calibrate_with_floor(stars, known.camera, order, start_px=FLOOR_PX)
-    attitudes = frame_attitudes(fitted.observations, made.model, list(attitudes))
-    psf = _psf(known, noise, made.model, attitudes, used, psf.value)
-    fields = [known.stars(k, made.model, attitudes) for k in range(len(night))]
-    fluxes = star_fluxes(known, [night.frames[k] for k in used], [fields[k] for k in used], noise, psf)
-    mass = np.array([np.median(field.airmass) for field in fields])
+    calibration, floor = calibrate_with_floor(stars, prepared.camera, order, start_px=FLOOR_PX)
+    attitudes = frame_attitudes(fitted.observations, calibration.model, list(attitudes))
+    psf = _psf(prepared, noise, calibration.model, attitudes, used, psf.value)
+    fields = [prepared.stars(k, calibration.model, attitudes) for k in range(len(night))]
+    fluxes = star_fluxes(prepared, [night.frames[k] for k in used], [fields[k] for k in used], noise, psf)
+    frame_airmass = np.array([np.median(field.airmass) for field in fields])
     return CameraFit(
-        camera=made.model,
-        calibration=made,
+        camera=calibration.model,
+        calibration=calibration,
         order=order,
         attitudes=attitudes,
         noise=noise,
@@ -261,7 +261,7 @@ def measure_camera(
         photometry=fit_photometry(
             **(fluxes | {"frame": np.asarray(used, np.int64)[fluxes["frame"]]}),
             frames=len(night),
-            airmass=mass if np.isfinite(mass).all() else None,
+            airmass=frame_airmass if np.isfinite(frame_airmass).all() else None,
             shape_error_mag=POGSON * psf.flux_error,
         ),
         gaussian=gaussian,
@@ -272,30 +272,33 @@ def measure_camera(
 
 
 def _psf(
-    known: PreparedNight,
+    prepared: PreparedNight,
     noise: SkyNoise,
     camera: CameraModel,
     attitudes: Rotation,
     used: Sequence[int],
     start: FloatArray | None = None,
 ) -> MixturePsf:
-    windows = known.windows([known.night.frames[k] for k in used], [known.stars(k, camera, attitudes) for k in used])
+    windows = prepared.windows(
+        [prepared.night.frames[k] for k in used], [prepared.stars(k, camera, attitudes) for k in used]
+    )
     if len(windows) > PSF_STARS:
         windows = windows.select(np.arange(len(windows)) % -(-len(windows) // PSF_STARS) == 0)
     constant, slope = max(noise.intercept_dn2, 0.1) + noise.dsnu_dn**2, 1.0 / noise.gain_e_per_dn
-    return fit_psf(windows, known.night.size_px, noise_dn2=(constant, slope), width_px=known.width_px, start=start)
+    return fit_psf(
+        windows, prepared.night.size_px, noise_dn2=(constant, slope), width_px=prepared.width_px, start=start
+    )
 
 
 def star_fluxes(
-    known: PreparedNight,
+    prepared: PreparedNight,
     frames: Sequence[IdentifiedFrame],
     stars: Sequence[FieldStars],
     noise: SkyNoise,
     psf: MixturePsf,
 ) -> dict[str, Any]:
-    """Light of isolated stars in some frames, at the positions where the camera puts them: columns (n,) of
-    `calib.photometry.zero_point.fit_photometry`."""
-    windows = known.windows(frames, stars, PHOTOMETRY_MAG)
+    """Fluxes of isolated stars at their calibrated positions: columns (n,) of `fit_photometry`."""
+    windows = prepared.windows(frames, stars, PHOTOMETRY_MAG)
     gain = noise.gain_e_per_dn
     flux_dn, error_dn = psf_fluxes(psf, windows, noise.variance_dn2(windows.level_dn), gain)
     columns = {"frame": windows.frame, "flux_e": flux_dn * gain, "flux_error_e": error_dn * gain}

@@ -34,10 +34,10 @@ from render.sky.sky import Sky
 
 THRESHOLD_SIGMA, FWHM_PX = 5.0, 1.7
 WINDOW_PX, BOX_PX, MARGIN_PX = 11, 64, 12.0
-ASTRAY_PX = 1.5
-"""Distance of a Gaussian fit from the detection beyond which it has gone astray: any flux and position."""
+FIT_SHIFT_PX = 1.5
+"""Distance of a Gaussian fit from the detection beyond which its flux and position are meaningless."""
 PAIR_PX = 1.5
-"""A detection within this distance of a catalogue star is that star."""
+"""Match radius of detections and catalogue stars."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,26 +46,28 @@ class Detections:
 
     background: Background  # Mesh of level and noise
     stars: StarTable  # All detections at `THRESHOLD_SIGMA`, measured by a Gaussian fit
-    start_px: FloatArray  # (n, 2) Where they were detected
-    significance: FloatArray  # (n,) Height of the filtered image over its noise
+    start_px: FloatArray  # (n, 2) Position of the detection, start of the fit
+    significance: FloatArray  # (n,) Filtered image over its noise
     sharp: NDArray[np.bool_]  # (n,) Hot pixels: sharper than a star, or in the mask
 
     @property
     def usable(self) -> NDArray[np.bool_]:
-        """Detections (n,) whose fit did not go astray, and that are no hot pixels."""
-        moved = np.hypot(*(self.stars.pixel_px - self.start_px).T)
-        known = np.isfinite(self.significance)
-        return np.asarray((moved < ASTRAY_PX) & (self.stars.flux_e > 0) & ~self.sharp & known)
+        """Detections (n,) with a valid fit that are no hot pixels."""
+        shift_px = np.hypot(*(self.stars.pixel_px - self.start_px).T)
+        finite = np.isfinite(self.significance)
+        return np.asarray((shift_px < FIT_SHIFT_PX) & (self.stars.flux_e > 0) & ~self.sharp & finite)
 
-    def pairs(self, stars: FieldStars) -> tuple[FloatArray, IntArray]:
-        """Significance of catalogue stars (n,), 0 if not detected, and rows of the detections that are none of them."""
+    def match(self, stars: FieldStars) -> tuple[FloatArray, IntArray]:
+        """Significance of catalogue stars (n,), 0 if not detected, and rows of the unmatched detections."""
         rows = np.flatnonzero(np.isfinite(self.significance) & ~self.sharp)
-        height, unknown = detected_stars(stars.position_px, self.start_px[rows], self.significance[rows], PAIR_PX)
-        return height, rows[unknown]
+        significance, unmatched = detected_stars(
+            stars.position_px, self.start_px[rows], self.significance[rows], PAIR_PX
+        )
+        return significance, rows[unmatched]
 
 
 def detections(image: SensorImage, *, noise: FilteredNoise | None = None) -> Detections:
-    """Stars of a frame; the same call for real and rendered frames, and for these the limit of the real one."""
+    """Stars of a real or rendered frame; a rendered one takes the filtered noise of the real frame as ``noise``."""
     background = estimate_background(image, box_px=BOX_PX)
     detected = detect(image, background, threshold_sigma=THRESHOLD_SIGMA, fwhm_px=FWHM_PX, noise=noise)
     flux_noise = np.sqrt(np.maximum(detected.covariance[:, FLUX, FLUX] - detected.flux_e, 1e-12))
@@ -89,7 +91,7 @@ class FrameSolution:
     image: SensorImage
     detected: Detections
     identification: Identification
-    focal_px: float  # Focal length that the frame shows
+    focal_px: float  # Of the identification
     seconds: float
 
     @property
@@ -99,8 +101,8 @@ class FrameSolution:
         return solution.rotation if self.identification.ok and solution is not None else None
 
     @property
-    def line(self) -> str:
-        """One line for the terminal."""
+    def summary(self) -> str:
+        """Line for the terminal."""
         head = f"{self.name}: {len(self.detected.stars)} detected"
         if self.attitude is None:
             return f"{head}; not solved: {self.identification.message} ({self.seconds:.2f} s)"
@@ -113,7 +115,7 @@ class FrameSolution:
 
 
 def identify(detected: Detections, identifier: BlindIdentifier) -> tuple[Identification, float]:
-    """Identification of the usable detections, and the focal length [px] of the pinhole they were found with."""
+    """Identification of the usable detections, and the focal length [px] of its pinhole."""
     stars = detected.stars.select(detected.usable)
     identification, model = identifier.identify(stars.pixel_px, stars.flux_e)
     return identification, model.value("focal_length_mm")
@@ -122,7 +124,7 @@ def identify(detected: Detections, identifier: BlindIdentifier) -> tuple[Identif
 def solve_all(
     names: Sequence[str], images: Sequence[SensorImage], identifier: BlindIdentifier, progress: Progress
 ) -> list[FrameSolution]:
-    """Detect and identify, one line per frame; frames without a solution again once the scale is known."""
+    """Detect and identify; frames without a solution are tried a second time, at the scale of the solved ones."""
     solved = []
     with progress.stage("frames solved", total=len(images)) as stage:
         for name, image in zip(names, images, strict=True):
@@ -139,7 +141,7 @@ def solve_all(
                     seconds=time.perf_counter() - start,
                 )
             )
-            progress.note(solved[-1].line)
+            progress.note(solved[-1].summary)
             stage.advance()
     for number, frame in enumerate(solved):
         if frame.attitude is None and identifier.focal_px is not None:
@@ -156,7 +158,7 @@ class IdentifiedFrame:
     name: str
     image: SensorImage
     detected: Detections
-    zenith: FloatArray | None  # (3,) In icrs; None where it is not known
+    zenith: FloatArray | None  # (3,) In icrs; None: unknown
     rows: IntArray  # (m,) Stars of the sky
     direction: FloatArray  # (m, 3) Apparent, refraction included
     taken: datetime | None = None
@@ -184,8 +186,8 @@ class SolvedNight:
         height, width = self.frames[0].image.dn.shape
         return width, height
 
-    def under(self, zenith: FloatArray, arcsec: float) -> SolvedNight:
-        """The same night with refraction towards a zenith (frames, 3)."""
+    def refracted_towards(self, zenith: FloatArray, arcsec: float) -> SolvedNight:
+        """The night with refraction towards zeniths (frames, 3); ``arcsec``: refraction / tan z."""
         frames = []
         for frame, up in zip(self.frames, zenith, strict=True):
             apparent = refracted(np.array(self.sky.direction[frame.rows]), up, arcsec)
@@ -194,10 +196,10 @@ class SolvedNight:
 
 
 def stars_about(sky: Sky, attitude: Rotation, camera: CameraModel) -> IntArray:
-    """Rows of the stars that a frame may hold: half as far again as its corners."""
+    """Rows of the stars within 1.5 times the field angle of the corners."""
     corners = camera.unproject(camera.geometry.corners_px)
-    reach = np.cos(1.5 * np.arccos(np.clip(np.nanmin(corners[:, 2]), -1.0, 1.0)))
-    return np.flatnonzero(sky.direction @ attitude.as_matrix()[2] > reach)
+    cos_radius = np.cos(1.5 * np.arccos(np.clip(np.nanmin(corners[:, 2]), -1.0, 1.0)))
+    return np.flatnonzero(sky.direction @ attitude.as_matrix()[2] > cos_radius)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -209,7 +211,7 @@ class FieldStars:
     position_px: FloatArray  # (n, 2)
     magnitude: FloatArray  # (n,)
     temperature_k: FloatArray  # (n,)
-    airmass: FloatArray  # (n,) NaN where the zenith is not known
+    airmass: FloatArray  # (n,) NaN: zenith unknown
     u2: FloatArray  # (n,) Squared distance from the middle over half of the diagonal
 
     def __len__(self) -> int:
@@ -229,9 +231,9 @@ class FieldStars:
 def field_stars(frame: IdentifiedFrame, sky: Sky, camera: CameraModel, attitude: Rotation) -> FieldStars:
     """Catalogue stars and their positions in a frame."""
     v_cam = attitude.apply(frame.direction)
-    shown = np.flatnonzero(camera.visible(v_cam, margin_px=MARGIN_PX))
-    shown = shown[np.argsort(sky.magnitude[frame.rows[shown]], kind="stable")]
-    rows, v_cam, apparent = frame.rows[shown], v_cam[shown], frame.direction[shown]
+    visible = np.flatnonzero(camera.visible(v_cam, margin_px=MARGIN_PX))
+    visible = visible[np.argsort(sky.magnitude[frame.rows[visible]], kind="stable")]
+    rows, v_cam, apparent = frame.rows[visible], v_cam[visible], frame.direction[visible]
     position, geometry = camera.project(v_cam), camera.geometry
     return FieldStars(
         row=rows,
@@ -255,7 +257,7 @@ def masked_pixels(
 
 
 def with_noise(image: SensorImage, noise: SkyNoise) -> SensorImage:
-    """The image with what was measured of its noise; the lowest black level is taken."""
+    """The image with its measured noise model, at the lowest possible black level."""
     model = NoiseModel(
         read_noise_e=noise.read_noise_e[0],
         gain_dn_per_e=1.0 / noise.gain_e_per_dn,

@@ -1,7 +1,7 @@
-"""A known prescription in place of the measured lens: focus, tilt and decentre of its detector, fitted to the frames.
+"""Detector pose behind a lens of known prescription: focus, tilt and decentre, fitted to the frames.
 
-Widths of Gaussian fits over the field are compared with fits to the prescription's own PSFs, rendered by rays at
-several shifts of the detector (`calib.psf.focus_tilt`). Decentre is the principal point of the lens minus that of
+Widths of Gaussian fits to stars over the field are compared with fits to PSFs of the prescription, rendered by rays
+at several shifts of the detector (`calib.psf.focus_tilt`). Decentre is the principal point of the lens minus that of
 the camera.
 """
 
@@ -47,11 +47,11 @@ class LensPose:
     tilt_y_deg: Measured = col("Tilt about y", "deg")
     decentre_x_mm: Measured = col("Detector off the axis, along x of the lens", "mm")
     decentre_y_mm: Measured = col("Along y", "mm")
-    blur_px: Measured = col("Width that diffraction and air add, in quadrature", "px")
-    focal_ratio: float = col("Focal length, frames over prescription", "", ".5f")
+    added_width_px: Measured = col("Width that diffraction and air add, in quadrature", "px")
+    focal_length_ratio: float = col("Focal length, frames over prescription", "", ".5f")
     residual_percent: float = col("Widths, scatter about the fitted lens", "percent", ".2f")
-    before_percent: float = col("The same as the sensor file states it", "percent", ".2f")
-    other_focus: str = col("Second focus that fits equally well", default="")
+    stated_residual_percent: float = col("The same as the sensor file states it", "percent", ".2f")
+    second_focus: str = col("Second focus that fits equally well", default="")
 
 
 def fit_lens_pose(file: Path, fit: CameraFit, limit_mag: float) -> LensPose:
@@ -65,20 +65,20 @@ def fit_lens_pose(file: Path, fit: CameraFit, limit_mag: float) -> LensPose:
     good = (stars.magnitude < limit_mag - BRIGHT_MAG) & np.isfinite(stars.width_px)
     pose = pose_of_widths(stated, stars.observations.pixel_px[good], stars.width_px[good])
     tilted = build_instrument(stated.config, lens=tilt_image(configured_lens(stated.config), *pose.value[1:3]))
-    # the model that stars behind the lens would give: a tilt shifts its principal point
-    behind = as_calibrated(camera_model(tilted), fit.order, focal_length_mm=tilted.focal_length_mm)
+    # camera model of the tilted lens as stars would calibrate it: a tilt shifts the principal point
+    nominal = as_calibrated(camera_model(tilted), fit.order, focal_length_mm=tilted.focal_length_mm)
     sigma = np.sqrt(np.diag(fit.calibration.covariance))
     pitch_mm = stated.detector.pixel_pitch_mm
 
     def decentre(name: str, sign: float) -> Measured:
-        """Along x of the lens, which is that of the columns, or y, against that of the rows."""
+        """Offset of the principal points: x of the lens runs along the columns, y against the rows."""
         names = fit.camera.parameter_names
-        if name not in names or name not in behind.parameter_names:
+        if name not in names or name not in nominal.parameter_names:
             return Measured(value=float("nan"))
-        off = sign * pitch_mm * (behind.value(name) - fit.camera.value(name))
-        return Measured(value=off, uncertainty=pitch_mm * float(sigma[names.index(name)]))
+        offset_mm = sign * pitch_mm * (nominal.value(name) - fit.camera.value(name))
+        return Measured(value=offset_mm, uncertainty=pitch_mm * float(sigma[names.index(name)]))
 
-    defocus, tilt_x, tilt_y, blur = measured(pose.value, pose.sigma)
+    defocus, tilt_x, tilt_y, added_width = measured(pose.value, pose.sigma)
     return LensPose(
         stars=pose.stars,
         defocus_mm=defocus,
@@ -86,16 +86,16 @@ def fit_lens_pose(file: Path, fit: CameraFit, limit_mag: float) -> LensPose:
         tilt_y_deg=tilt_y,
         decentre_x_mm=decentre("x0_px", 1.0),
         decentre_y_mm=decentre("y0_px", -1.0),
-        blur_px=blur,
-        focal_ratio=_central_scale(fit.camera) / _central_scale(behind),
+        added_width_px=added_width,
+        focal_length_ratio=_central_scale(fit.camera) / _central_scale(nominal),
         residual_percent=100.0 * pose.scatter,
-        before_percent=100.0 * pose.scatter_before,
-        other_focus=", ".join(f"{focus:+.3f} mm" for focus in pose.other_focus_mm[:1]),
+        stated_residual_percent=100.0 * pose.scatter_before,
+        second_focus=", ".join(f"{focus:+.3f} mm" for focus in pose.other_focus_mm[:1]),
     )
 
 
 def _central_scale(camera: CameraModel) -> float:
-    """Pixels per unit of the tangent in the middle of a camera."""
+    """Pixels per unit of tan(field angle) in the middle of the image."""
     ray = camera.unproject(camera.geometry.centre_px + np.array([[-50.0, 0.0], [50.0, 0.0]]))
     return float(100.0 / np.ptp(ray[:, 0] / ray[:, 2]))
 
@@ -125,25 +125,25 @@ def pose_of_widths(stated: Instrument, position_px: FloatArray, width_px: FloatA
 
 
 def write_prescription(file: Path, pose: LensPose, folder: Path) -> tuple[Path, ...]:
-    """``glass.toml`` and ``glass_sensor.toml``: the lens of a sensor file with its detector where the frames put it."""
+    """``glass.toml`` and ``glass_sensor.toml``: the lens of a sensor file with its detector in the fitted pose."""
     from render.sensor_file.file import SensorFile, complete_sensor
 
-    given = complete_sensor(file)
-    config = SensorFile.model_validate(given)
+    sensor_tables = complete_sensor(file)
+    config = SensorFile.model_validate(sensor_tables)
     tables: dict[str, Any] = dict(read_lens_file(str(config.instrument.lens)).tables)
     image = dict(tables.get("image", {}))
-    before = [*image.get("tilt_deg", [0.0, 0.0]), 0.0][:3]
-    turn = Rotation.from_rotvec([pose.tilt_x_deg.value, pose.tilt_y_deg.value, 0.0], degrees=True)
-    away = np.nan_to_num([pose.decentre_x_mm.value, pose.decentre_y_mm.value])
-    moved = [*image.get("decentre_mm", [0.0, 0.0]), 0.0][:3]
-    image["decentre_mm"] = [float(shift) for shift in np.add(moved, [*away, 0.0])]
-    image["tilt_deg"] = [float(a + b) for a, b in zip(before, turn.as_euler("xyz", degrees=True), strict=True)]
+    stated_tilt_deg = [*image.get("tilt_deg", [0.0, 0.0]), 0.0][:3]
+    tilt = Rotation.from_rotvec([pose.tilt_x_deg.value, pose.tilt_y_deg.value, 0.0], degrees=True)
+    decentre_mm = np.nan_to_num([pose.decentre_x_mm.value, pose.decentre_y_mm.value])
+    stated_decentre_mm = [*image.get("decentre_mm", [0.0, 0.0]), 0.0][:3]
+    image["decentre_mm"] = np.add(stated_decentre_mm, [*decentre_mm, 0.0]).tolist()
+    image["tilt_deg"] = np.add(stated_tilt_deg, tilt.as_euler("xyz", degrees=True)).tolist()
     tables["image"] = image
     lens, sensor = folder / "glass.toml", folder / "glass_sensor.toml"
     lens.write_text(toml_lens(tables), encoding="utf-8")
-    instrument = {**given["instrument"], "lens": lens.name}
+    instrument = {**sensor_tables["instrument"], "lens": lens.name}
     instrument["defocus_mm"] = float(config.instrument.defocus_mm) + pose.defocus_mm.value
-    sensor.write_text(toml_lens(_without_none({**given, "instrument": instrument})), encoding="utf-8")
+    sensor.write_text(toml_lens(_without_none({**sensor_tables, "instrument": instrument})), encoding="utf-8")
     return lens, sensor
 
 

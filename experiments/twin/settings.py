@@ -17,8 +17,8 @@ from optics.validate import parse_model
 OrderName = Literal["pinhole", "radial_1", "radial_2", "brown_conrady", "polynomial_3"]
 
 
-class CameraConfig(StrictModel):
-    """Known properties of the camera; frames determine angles per pixel, not lengths."""
+class CameraPriorConfig(StrictModel):
+    """Prior knowledge of the camera; frames determine angles per pixel, not lengths."""
 
     name: str = Field(default="", description="name in reports; default: the folder")
     field_deg: float | None = Field(
@@ -68,13 +68,13 @@ class NightConfig(StrictModel):
     brightest_e_per_s: float = Field(default=7000.0, ge=0, le=1e6, description="background of the last frame")
 
 
-class Config(ExperimentConfig):
+class TwinConfig(ExperimentConfig):
     """Frames, prior knowledge and rendered sets."""
 
     SENSOR_KEYS: ClassVar[Mapping[str, str]] = {"instrument.exposure_s": "camera.exposure_s"}
 
     frames: FolderName = Field(default="", description="folder of frames; empty: frames of a known camera are rendered")
-    camera: CameraConfig = CameraConfig()
+    camera: CameraPriorConfig = CameraPriorConfig()
     site: SiteConfig = SiteConfig()
     orders: tuple[OrderName, ...] = Field(
         default=("pinhole", "radial_1", "radial_2", "brown_conrady", "polynomial_3"),
@@ -118,7 +118,7 @@ class Config(ExperimentConfig):
 
 experiment = Experiment(
     name="twin",
-    config=Config,
+    config=TwinConfig,
     run="experiment:run",
     sections="report:SECTIONS",
     axes="report:axes",

@@ -1,28 +1,23 @@
 """Night frames of a known camera: rendered through glass, read out, passed on like a folder's frames.
 
-Of the truth only the data sheet's black level reaches the reduction; the results are compared with the truth.
+The reduction takes only the black level from the truth; its results are compared with the rest.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calib.cameras.base import CameraModel
 from calib.cameras.fit import camera_model
-from calib.cameras.line_of_sight import line_of_sight_map
 from calib.measure.images.sensor_image import sensor_image
 from calib.photometry.spectral_response import REFERENCE_K
 from calib.photometry.zero_point import noiseless_zero_point
 from experiments.harness.progress import Progress
-from experiments.harness.summary import Measured
 from experiments.twin.folder import NightFrame
-from experiments.twin.measure import CameraFit
 from experiments.twin.settings import NightConfig
-from optics.units import RAD_ARCSEC
 from render.detector.spec import Detector
 from render.engine.random import Streams
 from render.sensor import build_star_sensor
@@ -31,11 +26,11 @@ from render.sky.sky import Sky, load_sky
 
 FAINTEST_MAG = 10.0
 EDGE_PX = 12.0
-"""Stars nearer to the edge lose light beyond it."""
+"""Margin: the image of a star nearer to the edge is not complete."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class KnownNight:
+class RenderedNight:
     """Rendered frames and their truth."""
 
     frames: tuple[NightFrame, ...]
@@ -54,8 +49,8 @@ class KnownNight:
         return float(round(2.0 * np.degrees(np.arctan2(np.hypot(x, y), z)), 1))
 
 
-def render_night(config: NightConfig, seed: int, progress: Progress) -> KnownNight:
-    """Render the frames."""
+def render_night(config: NightConfig, seed: int, progress: Progress) -> RenderedNight:
+    """Render frames at random attitudes, the background rising from frame to frame."""
     sensor = build_star_sensor(
         config.lens, config.detector, window_px=(config.width_px, config.height_px), defocus_mm=0.0
     )
@@ -70,18 +65,18 @@ def render_night(config: NightConfig, seed: int, progress: Progress) -> KnownNig
         simulator.background_e_per_s = float(levels[number])
         observation = simulator.observe(attitudes[number], frame=number)
         truth = observation.truth
-        light = truth.electrons_image[:, 0]
+        electrons = truth.electrons_image[:, 0]
         position = np.column_stack([truth.photon_x_px[:, 0], truth.photon_y_px[:, 0]])
         inside = np.all((position > EDGE_PX) & (position < size - 1.0 - EDGE_PX), axis=1)
-        known = inside & (light > 0.0)
-        u2 = 4.0 * ((position[known] - (size - 1.0) / 2.0) ** 2).sum(axis=1) / (size @ size)
-        colour = REFERENCE_K / sky.temperature_k[observation.field.row[known]]
-        rows.append(np.stack([observation.field.stars.magnitude[known], colour, u2, light[known]]))
+        complete = inside & (electrons > 0.0)
+        u2 = 4.0 * ((position[complete] - (size - 1.0) / 2.0) ** 2).sum(axis=1) / (size @ size)
+        colour = REFERENCE_K / sky.temperature_k[observation.field.row[complete]]
+        rows.append(np.stack([observation.field.stars.magnitude[complete], colour, u2, electrons[complete]]))
         name = f"rendered {number + 1}"
         image = sensor_image(observation.frame.dn, saturation_dn=float(sensor.detector.largest_dn), source=name)
         frames.append(NightFrame(name=name, image=image))
     zero, loss = noiseless_zero_point(*np.concatenate(rows, axis=1))
-    return KnownNight(
+    return RenderedNight(
         frames=tuple(frames),
         sky=sky,
         camera=camera_model(sensor),
@@ -90,24 +85,3 @@ def render_night(config: NightConfig, seed: int, progress: Progress) -> KnownNig
         zero_point_mag=zero,
         corner_loss_mag=loss,
     )
-
-
-def true_values(truth: KnownNight, numbers: Any, fit: CameraFit) -> list[tuple[str, str, Measured, float]]:
-    """Name, unit, measured value and true value; ``numbers`` as of the report."""
-    chip, focal = truth.detector, truth.camera.value("focal_length_mm")
-    grid = truth.camera.geometry.grid_px(13)
-    line_of_sight = line_of_sight_map(
-        fit.camera, truth.camera.unproject(grid), grid, covariance=fit.calibration.covariance
-    )
-    error, predicted = (
-        float(np.sqrt(np.nanmean(np.square(part)))) * focal / chip.pixel_pitch_mm / RAD_ARCSEC
-        for part in (line_of_sight.error_arcsec, line_of_sight.predicted_sigma_arcsec)
-    )
-    return [
-        ("map of the camera, RMS error", "px", Measured(value=error, uncertainty=predicted), 0.0),
-        ("gain", "e-/DN", numbers.gain_e_per_dn, 1.0 / chip.gain_dn_per_e),
-        ("PRNU", "percent", numbers.prnu_percent, 100.0 * chip.prnu),
-        ("zero point", "mag", numbers.zero_point_mag, truth.zero_point_mag),
-        ("vignetting at the corner", "mag", numbers.vignetting_mag, truth.corner_loss_mag),
-        ("focal length", "px", numbers.focal_length_px, focal / chip.pixel_pitch_mm),
-    ]

@@ -1,4 +1,4 @@
-"""The twin: a measured lens, a detector and a sensor file from the frames; frames rendered with it."""
+"""The twin of a camera: measured lens, detector, sensor file, and frames rendered with them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from render.simulator import SkySimulator
 
 CHIP_C, BAND = 0.0, "open"
 HOT_SIGMA = 8.0
-"""Dark current of a hot pixel over the noise of a typical background."""
+"""Dark current of a hot pixel over the noise at the median background."""
 DETECTOR_KEYS = """
     name source chip_width_px chip_height_px prnu dark_current_e_per_s dark_reference_c dark_doubling_c
     dark_spread_e_per_s hot_fraction hot_dark_e_per_s dead_fraction full_well_e crosstalk_horizontal crosstalk_vertical
@@ -38,19 +38,19 @@ DETECTOR_KEYS = """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Assumed:
-    """Properties that frames of stars do not determine, and their assumed values."""
+class AssumedCamera:
+    """Assumed values of properties that frames of stars do not determine."""
 
     pixel_pitch_mm: float
     exposure_s: float
     saturation_dn: float
     aperture_mm: float | None = None  # None: as small as the light allows
-    quantum_efficiency: str = "cmv4000"  # Detector whose curve it is, up to the measured correction
+    quantum_efficiency: str = "cmv4000"  # Detector with this curve, before the measured colour correction
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Twin:
-    """A camera as records."""
+    """Measured lens and detector of a camera."""
 
     lens: MeasuredLens
     detector: Detector
@@ -60,14 +60,14 @@ class Twin:
 
 def build_twin(
     fit: CameraFit,
-    assumed: Assumed,
+    assumed: AssumedCamera,
     *,
     name: str = "twin",
     source: str = "night frames",
     taken: datetime | None = None,
     hot_fraction: float = 0.0,
 ) -> Twin:
-    """Records of the camera that the frames show."""
+    """Twin of a measured camera."""
     base = load_detector(assumed.quantum_efficiency).quantum_efficiency
     efficiency = np.interp(WAVELENGTHS_NM, base.wavelength_nm, base.value, left=0.02, right=0.01)
     lens, response_mag = lens_from_stars(
@@ -180,19 +180,19 @@ class TwinRenderer:
         number: int,
         noise: NoiseModel,
     ) -> SensorImage:
-        """Image (h, w) of one frame: its own sky, and the stars that the air lets through.
+        """Image (h, w) of stars behind the atmosphere on a background ``sky_e``.
 
-        ``scatter_mag`` and ``motion_px`` are standard deviations of a star's light and of its position per axis,
-        ``noise`` the noise model that the real frames are reduced with.
+        ``scatter_mag`` and ``motion_px`` are standard deviations of a star's flux and of its position per axis,
+        ``noise`` is the noise model for the reduction.
         """
         rng = streams.generator("stars", number)
         magnitude = stars.magnitude + scatter_mag * rng.standard_normal(len(stars))
         if extinction_mag:
             magnitude = magnitude + extinction_mag * stars.airmass
-        moved = stars.direction + 0.0
-        moved[:, :2] += motion_px / self._focal_px * rng.standard_normal((len(stars), 2)) * stars.direction[:, 2:]
-        moved /= np.sqrt((moved**2).sum(axis=1))[:, None]
-        field = self._simulator.light.stars(moved, magnitude, stars.temperature_k)
+        direction = stars.direction + 0.0
+        direction[:, :2] += motion_px / self._focal_px * rng.standard_normal((len(stars), 2)) * stars.direction[:, 2:]
+        direction /= np.sqrt((direction**2).sum(axis=1))[:, None]
+        field = self._simulator.light.stars(direction, magnitude, stars.temperature_k)
         light = self._simulator.expected(Rotation.identity(), stars=field)
         sky_e = np.maximum(sky_e - self._dark_e, 0.0)
         frame = self._simulator.read(light, frame=number, label=BAND, added_e=sky_e, streams=streams)

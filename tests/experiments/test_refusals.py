@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from astropy import units
 from astropy.table import Table
+from PIL import Image
 from target_frames import HEAD, readout, spots, write
 
 from experiments.chromatic.own_frames import filter_frames
@@ -38,6 +39,9 @@ from experiments.reduce.frames_toml import FolderLayout
 from experiments.temporal.own_frames import own_frames as temporal_test
 from experiments.temporal.own_frames import reduce as temporal
 from experiments.temporal.settings import Config as TemporalConfig
+from experiments.twin.folder import night_frames
+from experiments.twin.pipeline import measure_night
+from experiments.twin.settings import TwinConfig
 from optics.errors import BackendError, ConfigError, DomainError
 
 Call = Callable[[Path], Any]
@@ -406,6 +410,31 @@ SURF 2
   DISZ 100
 SURF 3
 """
+# --- Twin: folders of frames
+
+
+def night_folder(level: float | None = None) -> Call:
+    """The frames of a folder, without stars on a background [DN], measured."""
+
+    def call(folder: Path) -> Any:
+        rng = np.random.default_rng(1)
+        for number in range(2 if level else 0):
+            Image.fromarray(rng.poisson(level, (256, 256)).astype(np.uint16)).save(folder / f"{number}.tiff")
+        frames, _ = night_frames(folder)
+        return measure_night(frames, TwinConfig(camera={"field_deg": 11.0}), Progress())
+
+    return call
+
+
+TWIN = [
+    ("no folder", lambda folder: night_frames(folder / "none"), ConfigError, "none", "no such folder"),
+    ("no frame", night_folder(), ConfigError, "no readable frame"),
+    ("no stars", night_folder(300.0), DomainError, "no stars", "fewer than 4"),
+    ("daylight", night_folder(5e4), DomainError, "daylight", "background 5e+04 DN"),
+    ("order twice", lambda _: load_config(TwinConfig, settings=['orders=["radial_1", "radial_1"]']), ConfigError,
+     "a camera model is named twice"),
+]  # fmt: skip
+
 FILES = {
     "list.csv": "ra_deg,dec_deg,roll_deg\n1,2,3\n",
     "words.csv": "x_px,y_px\nfar,away\n",
@@ -415,7 +444,7 @@ FILES = {
     "chip.toml": "",
     "doublet.zmx": DOUBLET,
 }
-SECTIONS = {"dataset": DATASETS, "own frames": FRAMES, "lens": LENSES}
+SECTIONS = {"dataset": DATASETS, "own frames": FRAMES, "lens": LENSES, "twin": TWIN}
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Nights of a pinhole camera: faulty frames get their sentence, good ones a twin that renders them again."""
+"""Nights of a pinhole camera: notes on faulty frames, and the twin of good ones."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from calib.photometry.atmosphere import airmass, refracted, zenith_directions
 from experiments.harness.progress import Progress
 from experiments.harness.run import run_experiment
 from experiments.twin.experiment import files
-from experiments.twin.faults import likely_fault, shape_words
+from experiments.twin.faults import likely_fault, shape_fault
 from experiments.twin.folder import NightFrame
 from experiments.twin.night import solve_all
 from experiments.twin.pipeline import measure_night, stated_pitch_mm
 from experiments.twin.report import pictures
-from experiments.twin.settings import Config, experiment
+from experiments.twin.settings import TwinConfig, experiment
 from optics.errors import DomainError
 from render import load_star_sensor
 from render.sky.sky import load_sky
@@ -39,15 +39,16 @@ def sky(faintest_mag=8.5, **options):
 
 def pixels_of(v, flux, size, focal_px, sigma_px=0.9, around=((0.0, 0.0),)):
     """Light of stars (n,) in directions (n, 3) in cam through a pinhole, each a number of Gaussians."""
-    place = focal_px * v[:, :2] / np.maximum(v[:, 2:], 1e-6) + (size - 1) / 2.0
-    at = (place[:, None] + np.asarray(around)).reshape(-1, 2)
-    middle = np.rint(at).astype(int)
-    shown = np.repeat(v[:, 2] > 0.5, len(around)) & ((middle >= 4) & (middle < size - 4)).all(axis=1)
-    at, middle, light = at[shown], middle[shown, :, None] + np.arange(-4, 5), np.repeat(flux / len(around), len(around))
-    profile = np.exp(-0.5 * ((middle - at[:, :, None]) / sigma_px) ** 2)
-    profile *= (light[shown, None] ** 0.5 / profile.sum(axis=2))[:, :, None]
+    star_px = focal_px * v[:, :2] / np.maximum(v[:, 2:], 1e-6) + (size - 1) / 2.0
+    position_px = (star_px[:, None] + np.asarray(around)).reshape(-1, 2)
+    centre = np.rint(position_px).astype(int)
+    inside = np.repeat(v[:, 2] > 0.5, len(around)) & ((centre >= 4) & (centre < size - 4)).all(axis=1)
+    electrons = np.repeat(flux / len(around), len(around))[inside]
+    position_px, pixels = position_px[inside], centre[inside, :, None] + np.arange(-4, 5)
+    profile = np.exp(-0.5 * ((pixels - position_px[:, :, None]) / sigma_px) ** 2)
+    profile *= (electrons[:, None] ** 0.5 / profile.sum(axis=2))[:, :, None]
     image = np.zeros((size, size))
-    np.add.at(image, (middle[:, 1, :, None], middle[:, 0, None]), profile[:, 1, :, None] * profile[:, 0, None])
+    np.add.at(image, (pixels[:, 1, :, None], pixels[:, 0, None]), profile[:, 1, :, None] * profile[:, 0, None])
     return image
 
 
@@ -74,11 +75,11 @@ def solved(image):
 
 
 def test_a_good_frame_is_solved_and_has_no_fault():
-    one = solved(frame(light_of(1)))
-    assert one.attitude is not None
-    assert one.focal_px == pytest.approx(FOCAL_PX, rel=2e-3)
-    assert "identified, residual 0.0" in one.line
-    assert shape_words(one.image, one.detected) == ""
+    solution = solved(frame(light_of(1)))
+    assert solution.attitude is not None
+    assert solution.focal_px == pytest.approx(FOCAL_PX, rel=2e-3)
+    assert "identified, residual 0.0" in solution.summary
+    assert shape_fault(solution.image, solution.detected) == ""
 
 
 @pytest.mark.parametrize(
@@ -86,9 +87,9 @@ def test_a_good_frame_is_solved_and_has_no_fault():
     [({"trail_px": 14.0}, "trailed: stars are"), ({"disk_px": 9.0}, "out of focus: stars are")],
 )
 def test_images_that_are_no_points(options, words):
-    one = solved(frame(light_of(2, **options)))
-    assert one.attitude is not None or words in likely_fault(one)
-    assert words in shape_words(one.image, one.detected)
+    solution = solved(frame(light_of(2, **options)))
+    assert solution.attitude is not None or words in likely_fault(solution)
+    assert words in shape_fault(solution.image, solution.detected)
 
 
 @pytest.mark.slow
@@ -101,10 +102,11 @@ def test_a_mirrored_sky_is_stated():
 def test_clouds_over_a_part_of_the_frame():
     light = light_of(1)
     cover = gaussian_filter((np.indices(light.shape)[1] > 150).astype(float), 30.0)
-    one = solved(frame(light * (1.0 - 0.995 * cover) + 60.0 * cover))
-    lost = replace(one, identification=replace(one.identification, status="no_match", message="no match"))
-    assert "of the frame has no star" in likely_fault(lost)
-    assert "not solved: no match" in lost.line
+    solution = solved(frame(light * (1.0 - 0.995 * cover) + 60.0 * cover))
+    failed = replace(solution.identification, status="no_match", message="no match")
+    unsolved = replace(solution, identification=failed)
+    assert "of the frame has no star" in likely_fault(unsolved)
+    assert "not solved: no match" in unsolved.summary
 
 
 @pytest.mark.slow
@@ -113,24 +115,24 @@ def test_frames_of_two_cameras_and_clouds_are_notes_of_a_night():
     covered = light_of(3)
     covered[:, SIZE // 2 :] *= 0.03
     levels = (150.0, 400.0, 900.0, 300.0)
-    images = [frame(one, k, level) for k, (one, level) in enumerate(zip([*lights, covered], levels, strict=True))]
-    other = frame(light_of(5, focal_px=2950.0), 9)
-    frames = [NightFrame(name=f"f{k}", image=one) for k, one in enumerate([*images, other])]
-    config = Config(camera={"field_deg": round(FIELD_DEG, 1)}, orders=("pinhole",))
+    images = [frame(light, k, level) for k, (light, level) in enumerate(zip([*lights, covered], levels, strict=True))]
+    images.append(frame(light_of(5, focal_px=2950.0), 9))
+    frames = [NightFrame(name=f"f{k}", image=image) for k, image in enumerate(images)]
+    config = TwinConfig(camera={"field_deg": round(FIELD_DEG, 1)}, orders=("pinhole",))
     pytest.importorskip("tetra3rs")
     night, _ = measure_night(frames, config, Progress())
-    words = "\n".join(night.notes)
-    assert "f4: frames of two cameras: solved with 29" in words
-    assert "f3: clouds or an obstacle over about" in words
+    notes = "\n".join(night.notes)
+    assert "f4: frames of two cameras: solved with 29" in notes
+    assert "f3: clouds or an obstacle over about" in notes
     assert len(night.rows) == 4
 
 
 def test_a_pitch_that_the_stars_contradict_is_stated():
-    words = []
-    config = Config(camera={"pixel_pitch_um": 3.45, "focal_length_mm": 35.3})
-    assert stated_pitch_mm(config, 5117.0, words) == pytest.approx(3.45e-3)
-    assert "pitch of 6.9 um, pixel_pitch_um = 3.45 is stated (binning?)" in words[0]
-    focal = Config(camera={"focal_length_mm": 35.3})
+    notes = []
+    config = TwinConfig(camera={"pixel_pitch_um": 3.45, "focal_length_mm": 35.3})
+    assert stated_pitch_mm(config, 5117.0, notes) == pytest.approx(3.45e-3)
+    assert "pitch of 6.9 um, pixel_pitch_um = 3.45 is stated (binning?)" in notes[0]
+    focal = TwinConfig(camera={"focal_length_mm": 35.3})
     assert stated_pitch_mm(focal, 5117.0, []) == pytest.approx(6.9e-3, rel=1e-3)
 
 
@@ -138,7 +140,7 @@ def test_nothing_but_trails_is_refused_in_a_sentence():
     frames = [NightFrame(name="a", image=frame(light_of(2, trail_px=30.0)))]
     pytest.importorskip("tetra3rs")
     with pytest.raises(DomainError, match="trailed: stars are"):
-        measure_night(frames, Config(camera={"field_deg": round(FIELD_DEG, 1)}), Progress())
+        measure_night(frames, TwinConfig(camera={"field_deg": round(FIELD_DEG, 1)}), Progress())
 
 
 EXTINCTION, SMALL_PX, SHORT_PX = 0.3, 448, 1150.0
@@ -188,7 +190,7 @@ def test_twin_of_a_folder(tmp_path):
     ):
         assert abs(measured.value - true) < 4.0 * measured.uncertainty
     assert numbers.latitude_deg.value == 52.0
-    assert [one.name for one in run.criteria if one.failed] == []
+    assert [criterion.name for criterion in run.criteria if criterion.failed] == []
     assert len(run.result["frames"]) == 4
     files(run.result, tmp_path)
     sensor = load_star_sensor(tmp_path / "sensor.toml")

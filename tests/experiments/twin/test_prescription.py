@@ -1,4 +1,4 @@
-"""Focus, tilt and decentre of a detector behind a known lens, against those it was given."""
+"""Focus, tilt and decentre of a detector behind a known lens, against the values set."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from calib.cameras.fit import camera_model
 from calib.psf.focus_tilt import gaussian_widths
 from experiments.harness.summary import Measured
 from experiments.twin.prescription import LensPose, fit_lens_pose, write_prescription
-from experiments.twin.settings import Config
+from experiments.twin.settings import TwinConfig
 from optics.lens.perturb import refocus, tilt_image
 from optics.lens_file import load_lens
 from render.psf_lattice import render_psf_grid
@@ -25,7 +25,7 @@ from render.sky.star_light import star_light
 CONFIG = InstrumentConfig(
     lens="star_tracker_26mm", detector="cmv4000", width_px=1024, height_px=1024, defocus_mm=0.0, diffraction="rays"
 )
-DEFOCUS_MM, TILT_DEG, AWAY_MM = 0.03, (0.25, -0.15), (0.1, 0.04)
+DEFOCUS_MM, TILT_DEG, DECENTRE_MM = 0.03, (0.25, -0.15), (0.1, 0.04)
 START = '[instrument]\nlens = "star_tracker_26mm"\ndetector = "cmv4000"\ndefocus_mm = 0.0\ndiffraction = "rays"\n'
 
 
@@ -38,25 +38,21 @@ def start(tmp_path):
 
 def moved_lens():
     lens = tilt_image(refocus(configured_lens(CONFIG), DEFOCUS_MM), *TILT_DEG)
-    return replace(lens, image_position_mm=lens.image_position_mm + np.array([*AWAY_MM, 0.0]))
+    return replace(lens, image_position_mm=lens.image_position_mm + np.array([*DECENTRE_MM, 0.0]))
 
 
 def test_the_written_lens_stands_where_its_pose_says(start, tmp_path):
-    known = Config.of_sensor(start)
-    assert known["camera"] == {"pixel_pitch_um": 5.5, "exposure_s": 0.1}
-    assert known["prescription"] == str(start)
-    defocus, tilt, away = ([Measured(value=value) for value in values] for values in ((DEFOCUS_MM,), TILT_DEG, AWAY_MM))
+    settings = TwinConfig.of_sensor(start)
+    assert settings["camera"] == {"pixel_pitch_um": 5.5, "exposure_s": 0.1}
+    assert settings["prescription"] == str(start)
+    names = ("defocus_mm", "tilt_x_deg", "tilt_y_deg", "decentre_x_mm", "decentre_y_mm", "added_width_px")
+    values = (DEFOCUS_MM, *TILT_DEG, *DECENTRE_MM, 0.2)
     pose = LensPose(
         stars=100,
-        defocus_mm=defocus[0],
-        tilt_x_deg=tilt[0],
-        tilt_y_deg=tilt[1],
-        decentre_x_mm=away[0],
-        decentre_y_mm=away[1],
-        blur_px=Measured(value=0.2),
-        focal_ratio=1.0,
+        focal_length_ratio=1.0,
         residual_percent=4.0,
-        before_percent=20.0,
+        stated_residual_percent=20.0,
+        **{name: Measured(value=value) for name, value in zip(names, values, strict=True)},
     )
     lens_file, sensor_file = write_prescription(start, pose, tmp_path)
     lens, moved = load_lens(lens_file), moved_lens()
@@ -96,6 +92,6 @@ def test_pose_from_the_widths_of_a_camera(start):
         assert abs(value.value - true) < 4.0 * value.uncertainty + 0.02 * abs(true)
         assert value.uncertainty < 0.1 * abs(true)
     assert pose.residual_percent == pytest.approx(4.0, rel=0.2)
-    assert pose.before_percent > 5.0 * pose.residual_percent
-    assert [pose.decentre_x_mm.value, pose.decentre_y_mm.value] == pytest.approx(AWAY_MM, abs=0.01)
-    assert pose.focal_ratio == pytest.approx(1.0, abs=2e-3)
+    assert pose.stated_residual_percent > 5.0 * pose.residual_percent
+    assert [pose.decentre_x_mm.value, pose.decentre_y_mm.value] == pytest.approx(DECENTRE_MM, abs=0.01)
+    assert pose.focal_length_ratio == pytest.approx(1.0, abs=2e-3)
