@@ -284,12 +284,12 @@ class Outcome:
         """SECTION.FIELD of a quantity; the name of a dimension as it is; "" where the result has no such quantity."""
         if (own := f"{self.section}.{name}") in self.data.variables:
             return own
-        if name in self.data.variables:
-            return name
-        matches = [full for full in names_of(self.data) if full.rpartition(".")[2] == name]
-        if len(matches) > 1:
+        matches = [full for full in names_of(self.data) if name in (full, full.rpartition(".")[2])]
+        if len(matches) == 1 or name in self.data.variables:
+            return matches[0] if len(matches) == 1 else name
+        if matches:
             raise DomainError(f"quantity {name!r} is in several sections: {', '.join(matches)}")
-        return matches[0] if matches else ""
+        return ""
 
     def __contains__(self, name: str) -> bool:
         return bool(self.name(name))

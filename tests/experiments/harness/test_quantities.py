@@ -80,6 +80,8 @@ def test_a_field_alone_is_that_of_the_own_section_or_of_the_only_one(q):
     assert outcome_of(q, "stars").value("bound_arcsec") == 3.0
     assert outcome_of(q, "levels").dims("bound_arcsec") == ("level", "axis")
     assert outcome_of(q, "stars").name("te_arcsec") == "levels.te_arcsec"
+    q.add("target.level", 7.0)  # the field, not the dimension of that name
+    assert outcome_of(q).value("level") == 7.0
     refuses(DomainError, "levels.bound_arcsec, stars.bound_arcsec", outcome_of(q).value, "bound_arcsec")
     assert [name in outcome_of(q) for name in ("frames", "frames.frames", "axis", "nothing")] == [
         True,
