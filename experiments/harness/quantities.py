@@ -256,7 +256,7 @@ def _unit_of(quantity: Quantity, data: xr.Dataset) -> Any:
 
 def _nested(values: NDArray[Any], dims: Sequence[str], data: xr.Dataset) -> Any:
     if not dims or not (keys := [_keys(data, dim) for dim in dims]) or not any(keys):
-        return values.tolist()
+        return np.asarray(values).tolist()
     members = [_nested(member, dims[1:], data) for member in values]
     return members if keys[0] is None else dict(zip(keys[0], members, strict=True))
 

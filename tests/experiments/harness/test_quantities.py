@@ -142,5 +142,8 @@ def test_units_along_a_dimension():
     q = Quantities()
     q.axis("unknown", ["x0_px", "f_mm"], "Unknown", units=["px", "mm"])
     q.add("fit.estimate", [1.0, 2.0], unit="{unknown}", dims="unknown")
-    assert to_results(q.dataset)["fit"]["estimate"]["unit"] == {"x0_px": "px", "f_mm": "mm"}
+    q.add("fit.name", ["principal point", "focal length"], dims="unknown")
+    results = to_results(q.dataset)["fit"]
+    assert results["estimate"]["unit"] == {"x0_px": "px", "f_mm": "mm"}
+    assert results["name"]["value"] == {"x0_px": "principal point", "f_mm": "focal length"}
     assert shown_unit("{unknown}") == ""
