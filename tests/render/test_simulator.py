@@ -21,7 +21,6 @@ from render.bodies.solar_system import solar_system
 from render.bodies.sunlit_body import planet_body, sphere_photons
 from render.sensor_file.load import load_star_sensor
 from render.simulator import SkySimulator, observe
-from render.sky.background import UniformSky
 from render.sky.sky import load_sky
 
 ORION = (83.8, -1.2)
@@ -56,24 +55,6 @@ def test_same_settings_and_seed_same_bytes(rate_deg_per_s, digest):
     towards = attitude_from_angles(*ORION)
     frame = observe(small, towards, load_sky(faintest_mag=8.0), rate_deg_per_s=rate_deg_per_s, **settings).frame
     assert hashlib.sha256(frame.dn.tobytes()).hexdigest()[:16] == digest
-
-
-@pytest.mark.slow
-def test_layers_add_up(sensor, sky):
-    """Sources apart: their sum is the image, the sky is even, dark current is that of the data sheet."""
-    simulator = SkySimulator(
-        sensor, sky, exposure_s=0.1, uniform=UniformSky(magnitude_per_arcsec2=20.0), background_e_per_s=30.0
-    )
-    seen = simulator.observe(attitude_from_angles(*ORION, 90.0), layers=True)
-    assert set(seen.layers) == {"stars", "sky", "dark"}
-    np.testing.assert_allclose(
-        seen.layers["stars"] + seen.layers["sky"], seen.expected.electrons[..., 0], rtol=1e-6, atol=1e-3
-    )
-    stars = float(seen.truth.electrons_image.sum())
-    assert float(seen.layers["stars"].sum(dtype=float)) == pytest.approx(stars, rel=1e-5)
-    assert np.ptp(seen.layers["sky"]) < 0.1 * seen.layers["sky"].mean()
-    dark = 0.1 * (sensor.detector.dark_current_e_per_s + 30.0)
-    assert float(np.median(seen.layers["dark"])) == pytest.approx(dark, rel=0.3)
 
 
 def test_the_belt_of_orion_is_where_astropy_puts_it(observation, sensor):
@@ -180,35 +161,12 @@ class Accelerating:
 
 
 @pytest.mark.slow
-def test_motion_in_an_exposure_moves_the_light_as_mechanics_say(sky):
-    """A rate leaves the light in the middle of the exposure and spreads it by L^2 / 12; an acceleration a moves it by
-    a t^2 / 24: half of a times the variance of the time."""
+def test_an_accelerated_motion_moves_the_light(sky):
+    """By a t^2 / 24: half of the acceleration times the variance of the time."""
     sensor = load_star_sensor("star_tracker_26mm", "cmv4000", window_px=512, diffraction="rays")
     simulator = SkySimulator(sensor, sky, exposure_s=0.2, seed=3)
     towards = attitude_from_angles(ra_deg=ORION[0], dec_deg=ORION[1], roll_deg=30.0)
     pixel_rad = np.radians(sensor.pixel_arcsec / 3600.0)
-    rest = simulator.observe(towards)
-    middle = np.hypot(*(np.array([rest.truth.photon_x_px[:, 0], rest.truth.photon_y_px[:, 0]]) - 255.5)) < 120.0
-    rate = 6.0 * pixel_rad / 0.2
-    moved = simulator.observe(towards, rate_deg_per_s=np.degrees([0.0, rate, 0.0]))
-    row = dict(zip(moved.field.row.tolist(), range(len(moved.field)), strict=True))
-    same = [row[one] for one in rest.field.row[middle].tolist()]
-    assert middle.sum() >= 3
-    for axis in ("photon_x_px", "photon_y_px"):
-        there = getattr(moved.truth, axis)[same, 0]
-        np.testing.assert_allclose(there, getattr(rest.truth, axis)[middle, 0], atol=0.02)
-    image, brightest = (
-        moved.expected.electrons[..., 0],
-        np.argmax(np.where(middle, rest.truth.electrons_image[:, 0], 0.0)),
-    )
-    x, y = (int(getattr(rest.truth, axis)[brightest, 0]) for axis in ("photon_x_px", "photon_y_px"))
-    spread = []
-    for picture in (image, rest.expected.electrons[..., 0]):
-        line = picture[y - 6 : y + 8, x - 12 : x + 14].sum(0)
-        place = np.arange(len(line))
-        spread.append(line @ (place - line @ place / line.sum()) ** 2 / line.sum())
-    assert spread[0] - spread[1] == pytest.approx(6.0**2 / 12.0, rel=0.05)
-
     faster = 3.0 * pixel_rad * 24.0 / 0.2**2  # 3 px
     path = Accelerating(towards, faster)
     seen = simulator.observe(path)

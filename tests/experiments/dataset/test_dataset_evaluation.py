@@ -8,7 +8,6 @@ import re
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-import xarray as xr
 from astropy.io import fits
 from astropy.table import Table
 from scipy.stats import chi2
@@ -67,22 +66,6 @@ def gaussian_bound_px(truth):
     rays = (rays + truth["variance_y_px2"][truth["clean"]]) / 2
     spot = rays + diffusion_px**2 + 1.0 / 12.0
     return np.sqrt(spot / light + 8.0 * np.pi * spot**2 * noise_e2 / light**2)
-
-
-def test_everything_that_was_described_is_there(folder):
-    names = {file.name for file in folder.iterdir()}
-    tables = {f"{name}.ecsv" for name in ("centroids", "completeness", "flags", "solved_frames", "solver")}
-    assert {*tables, "README.md", "report.html", "results.nc", "summary.json", "index.parquet"} <= names
-    assert "(frame.html" in (folder / "report.html").read_text().replace('href="', "(")
-    page = json.loads(re.search(r'id="meta">(.*?)</script>', (folder / "frame.html").read_text(), re.DOTALL)[1])
-    first = pq.read_table(sorted(folder.glob("truth/*"))[0])
-    lit = first.column("electrons").to_numpy() > 0
-    assert sorted(page["layers"][0]["x"]) == sorted(first.column("photon_x_px").to_numpy()[lit].round(4))
-    assert page["layers"][-1]["name"] == "errors against true stars"
-    with xr.open_dataset(folder / "results.nc", engine="scipy") as data:
-        assert data["centroids.error_px"].attrs["units"] == "px"
-        assert data["centroids.error_px"].attrs["ancillary_variables"] == "centroid_error_px_error"
-        assert data["solved_frames.error_arcsec"].shape == (FRAMES, 3)
 
 
 def test_bound_of_centroids_is_that_of_gaussian_spots(folder, truth):

@@ -33,7 +33,6 @@ from render.observation import BodyDisk
 from render.sensor_file.tables import CatalogueConfig, InstrumentConfig
 
 EPOCH = 2025.3
-CAMERA = {"instrument": InstrumentConfig(detector="cmv4000", exposure_s=0.2, width_px=192, height_px=128), "nodes": 3}
 
 
 def test_attitudes_keep_away_from_the_sun():
@@ -141,18 +140,6 @@ def test_labels_of_hot_pixels_and_cosmic_rays(engine):
     assert {(label.box_px[2], label.box_px[3]) for label in hot} == {(1.0, 1.0)}
 
 
-@pytest.mark.slow
-def test_hot_pixels_stand_out_of_frames_without_light(shot):
-    scene, maker = shot
-    hot = [one for one in LabelMaker(scene).labels(0) if one.kind == "hot_pixel"]
-    defect = sensor_maps(scene.instrument.detector).defect
-    assert 0 < len(hot) <= defect.sum()
-    frames = np.stack([maker.make(k).frame.dn for k in range(6)]).astype(float)
-    middle = np.median(frames, axis=0)
-    x, y = np.array([(one.x_px, one.y_px) for one in hot], int).T
-    assert np.median(middle[y, x]) > np.median(middle) + 3.0 * np.std(frames - middle)
-
-
 def hold_disk_to_astropy(disk, made, scene, label):
     """Place, size and phase from astropy's own bodies; the light lies on the Sun's side of the middle."""
     time = Time(scene.config.catalogue.epoch_year, format="jyear", scale="tdb")
@@ -192,19 +179,6 @@ def test_the_label_of_the_moon_is_its_disk():
     image = SimpleNamespace(electrons=np.array([5.0]), photon_px=np.array([[1.0, 2.0]]), noise_share=0.0)
     (truth,) = disk_truth(scene, plan, [BodyDisk(name="moon", row=0, image=image)])
     assert (truth.x_px, truth.y_px, truth.diameter_px) == pytest.approx((label.x_px, label.y_px, diameter_px))
-
-
-@pytest.mark.slow
-def test_any_number_of_a_frame_with_the_moon():
-    """(From frame 65 536 on the number of a stream overflowed.)"""
-    Engine.start("llvm")
-    small = SMALL.model_copy(update={"exposure_s": 1e-4, "width_px": 256, "height_px": 256})
-    config = DatasetConfig(instrument=small, nodes=3, pointing=BodyPointing(body="moon", offset_deg=0.3))
-    maker = FrameMaker(build_scene(config))
-    for frame in (65_536, 2**40):
-        made = maker.make(frame)
-        assert [disk.name for disk in made.disks] == ["moon"]
-        assert (made.truth["frame"] == frame).all()
 
 
 @pytest.mark.slow

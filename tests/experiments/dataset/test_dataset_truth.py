@@ -11,13 +11,7 @@ from calib.measure.detection.footprints import footprint_px
 from experiments.dataset.frame import FrameMaker
 from experiments.dataset.job import frame_record
 from experiments.dataset.scene import build_scene, stars_of
-from experiments.dataset.settings import (
-    ConePointing,
-    DatasetConfig,
-    FixedRate,
-    JitterSpectrumConfig,
-    ScanPointing,
-)
+from experiments.dataset.settings import ConePointing, DatasetConfig, FixedRate, JitterSpectrumConfig, ScanPointing
 from experiments.dataset.truth import FLAGS, record_from_text
 from optics.frames import field_angles_deg
 from optics.rays.chief_ray import chief_ray_points

@@ -17,7 +17,6 @@ from scipy.io import netcdf_file
 
 from experiments import run_experiment
 from experiments.__main__ import main as starbench
-from experiments.harness import registry
 from experiments.harness.cli import command
 from experiments.harness.registry import experiment_names
 from optics.errors import ConfigError
@@ -199,25 +198,6 @@ def test_interruption_leaves_nothing_behind(tmp_path):
     assert "interrupted; nothing was written" in said[1]
     assert "Traceback" not in said[1]
     assert names(tmp_path) == []
-
-
-def test_packages_with_an_experiment_are_found_and_nothing_of_their_work_is_imported(tmp_path, monkeypatch):
-    parts = {"outside": ("experiment", "settings"), "frame_like": ("experiment",), "laboratory_like": ()}
-    for name, modules in parts.items():
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "__init__.py").write_text(f'"""What does {name} answer?\n\nMore words."""\n')
-        for module in modules:
-            (tmp_path / name / f"{module}.py").write_text("raise SystemExit('must not be imported')\n")
-    monkeypatch.setattr("experiments.__path__", [str(tmp_path)])
-    monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setattr(registry.home, "__name__", "experiments")
-    registry._packages.cache_clear()
-    try:
-        assert experiment_names() == {"outside": "What does outside answer?"}
-    finally:
-        registry._packages.cache_clear()
-        for name in parts:
-            sys.modules.pop(f"experiments.{name}", None)
 
 
 def test_unknown_experiment_schema_and_version(shot_noise, capsys):

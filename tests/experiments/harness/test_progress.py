@@ -56,10 +56,5 @@ def test_times_of_stages_add_up_and_survive_a_fault():
 
 
 def test_paths_of_one_machine_are_cut():
-    config = {
-        "lens": "/opt/data/lens.toml",
-        "list": ["~/x/y.fits", 3],
-        "ratio": "a/b",
-        "none": None,
-    }
+    config = {"lens": "/opt/data/lens.toml", "list": ["~/x/y.fits", 3], "ratio": "a/b", "none": None}
     assert without_paths(config) == {"lens": "lens.toml", "list": ["y.fits", 3], "ratio": "a/b", "none": None}

@@ -96,19 +96,3 @@ def test_a_known_polynomial_is_found_and_removed(capsys, tmp_path, engine):
         for name in ("d", "c1"):
             assert sigma[name][axis] == pytest.approx(injected, abs=4.0 * noise / np.sqrt(len(PLACES)))
         assert sigma["left"][axis] < 2.0 * noise
-
-
-@pytest.mark.parametrize(
-    ("name", "text", "said"),
-    [
-        ("temporal", "points = 16\n[[series]]\nfiles = ['a1.fits']", "1 frame; at least 2 are needed"),
-        ("distortion", f"points_px = {[list(p) for p in PLACES[:5]]}\n" + series("a"), "5 points do not determine"),
-    ],
-)
-def test_a_bad_folder_is_one_line(name, text, said, folder, capsys, tmp_path, engine):
-    status, shown = run(name, folder, text, capsys, out=tmp_path / "out")
-    lines = [line for line in shown.splitlines() if line.startswith("error")]
-    assert status == 2
-    assert len(lines) == 1
-    assert said in lines[0]
-    assert not (tmp_path / "out").exists()

@@ -53,27 +53,6 @@ def sphere(radius: float, bottom: float, top: float) -> Mesh:
 
 
 @pytest.mark.slow
-def test_a_mesh_of_the_users_is_the_tube_it_shows(tmp_path) -> None:
-    """The same plain tube as thin sheets made here and as a closed body from a file."""
-    plain = vaned_baffle(entrance_mm=9.0, field_deg=12.0, shade_deg=30.0, vanes=0, edge_mm=0.0)
-    weight = lens_weight([1.0, 30.0, 90.0], [1e-3, 1e-5, 1e-6])
-    inner, length = plain.tube_mm, plain.length_mm
-    outline = [(9.0, 0.0), (inner, 0.0), (inner, length), (inner + 3.0, length), (inner + 3.0, -3.0), (9.0, -3.0)]
-    body = revolved(outline, sides=192, closed=True)
-    file = tmp_path / "tube.obj"
-    lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in body.vertex_mm]
-    file.write_text("\n".join([*lines, *(f"f {a} {b} {c}" for a, b, c in body.face + 1)]))
-    found = [
-        BaffleScene(one, matt(0.3), entrance_mm=9.0, field_deg=12.0).light(polar_direction(25.0), weight, error=0.01)
-        for one in (plain, read_mesh(file))
-    ]
-    assert found[0].direct == pytest.approx(found[1].direct, abs=1e-3)
-    error = np.hypot(found[0].walls_error, found[1].walls_error)
-    assert error < 0.03 * found[0].walls
-    assert found[1].walls == pytest.approx(found[0].walls, abs=4.0 * error)
-
-
-@pytest.mark.slow
 def test_an_integrating_sphere() -> None:
     """Furnace: every wall throws light evenly on all of a sphere; E = rho Phi / (A (1 - rho (1 - f))), f the ports."""
     radius, bottom, top, rho, angle = 50.0, 4.0, 15.0, 0.4, 35.0

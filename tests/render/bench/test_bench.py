@@ -142,22 +142,6 @@ def test_glowing_aperture(engine, bench):
 
 
 @pytest.mark.slow
-def test_glowing_aperture_by_the_stock_path_integrator(mi, bench):
-    """The same sheet lit through the same hole by Mitsuba's ``directional`` emitter, imaged from the camera."""
-    light = {"type": "directional", "direction": [0, 0, -1], "irradiance": 1.0}
-    scene = mi.load_dict(
-        {"type": "scene", "light": light, **{f"s{i}": s for i, s in enumerate(bench.covered.shapes())}}
-    )
-    integrator = mi.load_dict({"type": "path", "max_depth": 2})
-    reference = np.array(mi.render(scene, sensor=bench.sensor, integrator=integrator, spp=64))[..., 0]
-    ours = picture(bench, bench.covered, log2_particles=20)
-    assert ours.sum() == pytest.approx(reference.sum(), rel=3e-3)
-    row, column = np.mgrid[:160, :160]
-    for grid in (row, column):
-        assert (ours * grid).sum() / ours.sum() == pytest.approx((reference * grid).sum() / reference.sum(), abs=0.02)
-
-
-@pytest.mark.slow
 def test_spot_by_the_stock_particle_tracer(mi):
     """Perfectly collimated light: Mitsuba's ``ptracer`` with a ``directionalarea`` emitter gives the same picture."""
     from render.bench.trace import trace_screen

@@ -36,14 +36,6 @@ def test_smear_is_the_columns_light_times_line_time_over_exposure():
     assert not np.delete(mean, 16, axis=1).any()
 
 
-def test_smear_needs_no_less_time_with_a_longer_exposure():
-    """The same light per second: the smear is the same charge, whatever the exposure."""
-    short = read(spot(2e5), transfer_line_us=5.0, exposure_s=0.01).dn[50:, 16].mean()
-    long = read(spot(2e6), transfer_line_us=5.0, exposure_s=0.1).dn[50:, 16].mean()
-    assert short == pytest.approx(100.0, abs=12.0)
-    assert long == pytest.approx(100.0, abs=12.0)
-
-
 def test_lag_leaves_its_share_up_to_the_full_well():
     before = spot(6000.0) + spot(1e6, row=40)
     dn = np.mean([read(np.zeros(PLAIN.shape), lag=0.02, before=before, frame=k).dn for k in range(100)], axis=0)

@@ -1,8 +1,6 @@
 """The plugins in scenes that this project did not write, through ``mi.load_dict`` and ``mi.render``."""
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -124,20 +122,6 @@ def test_stock_integrators_do_not_see_the_stars(mi):
     scene = {k: v for k, v in foreign_scene(mi, unit([0.0], [0.0])).items() if k in ("type", "sensor", "stars")}
     image = np.array(mi.render(mi.load_dict(scene), integrator=mi.load_dict({"type": "path"}), spp=4))
     assert np.count_nonzero(image) == 0
-
-
-@pytest.mark.slow
-def test_registration_needs_a_vectorised_variant():
-    """Scalar variants have no arrays to trace with."""
-    program = (
-        "import mitsuba as mi\n"
-        "mi.set_variant('scalar_rgb')\n"
-        "from render.plugins.register import register_plugins\n"
-        "try:\n    register_plugins()\nexcept Exception as error:\n    print(type(error).__name__, error)"
-    )
-    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert done.stdout.startswith("BackendError Mitsuba variant scalar_rgb is active")
-    assert "Engine.start" in done.stdout
 
 
 @pytest.mark.slow

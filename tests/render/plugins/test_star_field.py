@@ -64,10 +64,7 @@ def test_lambertian_plane_under_stars(mi, integrator):
 
 
 def test_one_star_is_free_of_noise(mi):
-    one = {
-        "direction": mi.TensorXf64(DIRECTION[None, 1:2]),
-        "photon_rate": mi.TensorXf64(np.full((1, 1, 2, 2), 1.25)),
-    }
+    one = {"direction": mi.TensorXf64(DIRECTION[None, 1:2]), "photon_rate": mi.TensorXf64(np.full((1, 1, 2, 2), 1.25))}
     scene = mi.load_dict(lit_plane(stars=stars(**one), integrator={"type": "path"}))
     image = np.array(mi.render(scene, spp=1))[..., 0]
     assert image == pytest.approx(np.full((8, 8), ALBEDO / math.pi * 5.0 * 0.8), rel=1e-5)

@@ -47,28 +47,6 @@ def test_photon_centroid_is_the_bundle_mean(engine, bench, name, diffusion_px):
     assert np.hypot(truth.photon_x_px - truth.bundle_x_px, truth.photon_y_px - truth.bundle_y_px).max() < 1e-5
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", LENSES[:2])
-def test_image_on_finer_pixels_has_the_same_centroid(engine, bench, name):
-    """The image itself, not the strips: 4 times finer pixels sample the diffused light without aliasing."""
-    x, y = over_the_field(bench, name)
-    pick = [0, 3, 6]
-    worst = 0.0
-    for column, row in zip(4 * x[pick], 4 * y[pick], strict=True):
-        whole = bench.camera_of(name, fine=4)
-        camera = bench.window(whole, 200, column, row)
-        stars = bench.stars_at(whole, column, row, bands=BANDS[1:])
-        traced = rendered(camera, stars, sobol_log2_rays=13)
-        light = traced.electrons.astype(float)
-        assert traced.truth.electrons_off_edge.max() < 1e-9 * traced.truth.electrons_in.max()
-        index = np.arange(200)
-        total = light.sum((0, 1))
-        centre_x, centre_y = index @ light.sum(0) / total, index @ light.sum(1) / total
-        offset = np.hypot(centre_x - traced.truth.bundle_x_px[0], centre_y - traced.truth.bundle_y_px[0])
-        worst = max(worst, offset.max() / 4)
-    assert worst < 1e-5  # demanded: 1e-4 px
-
-
 @pytest.mark.parametrize("name", [LENSES[0], pytest.param(LENSES[2], marks=pytest.mark.slow)])
 def test_truth_against_a_dense_numpy_bundle(engine, bench, name):
     """Bundle means, variances and vignetting; where apertures cut the bundle, as good as 2^16 Sobol rays are."""

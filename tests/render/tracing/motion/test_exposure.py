@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from render.forward import StarRenderer
 from render.motion.trajectory import ConstantRate, SampledAttitude
 from render.tracing.motion.exposure import exposure_motion
 from render.tracing.motion.paths import pick_times, star_paths
@@ -159,22 +158,6 @@ def test_stars_that_leave_the_frame(engine, bench):
     # from -6 to 6 px about their middle: all on, (55 + 6 - 59.5) / 12 off, (64 + 6 - 59.5) / 12 off
     assert off == pytest.approx([0.0, 1.5 / 12, 10.5 / 12], abs=3e-3)
     assert traced.electrons.sum(dtype=float) == pytest.approx(truth.electrons_image.sum(), rel=1e-6)
-
-
-@pytest.mark.slow
-def test_through_mitsuba(engine, bench):
-    camera, whole = small(bench, "star_tracker_26mm")
-    stars = bench.stars_at(whole, [699.3], [301.4])
-    trajectory = turning(whole, 5.0)
-    motion = exposure_motion(trajectory, start_s=0.1, exposure_s=EXPOSURE_S, camera=camera)
-    renderer, tracer = StarRenderer(camera, exposure_s=EXPOSURE_S), Tracer(camera)
-    image = renderer.render(stars, motion=motion)
-    assert np.array_equal(image.electrons, tracer.render(stars, exposure_s=EXPOSURE_S, motion=motion).electrons)
-    turn = trajectory.attitude(0.05).as_matrix()
-    pointed = renderer.render(stars, rotation_cam_from_world=turn)
-    assert np.array_equal(
-        pointed.electrons, tracer.render(stars, exposure_s=EXPOSURE_S, rotation_cam_from_world=turn).electrons
-    )
 
 
 def test_number_of_nodes_follows_the_path(bench):

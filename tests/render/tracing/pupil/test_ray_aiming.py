@@ -1,7 +1,5 @@
 """Outlines of beams: against rays traced by NumPy just inside and outside of them, closed forms, and convergence."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -158,21 +156,3 @@ def test_quadrature_inside_an_outline_converges_exponentially(engine, bench):
     assert error[1] < error[0] / 5
     assert error[2] < error[1] / 10
     assert error[3] < 1e-7
-
-
-@pytest.mark.slow
-def test_arcs_against_many_sobol_points(engine, bench):
-    """Image and truth of cut beams: as far from 2^21 Sobol points as 2^16 are is too far by a factor of four."""
-    camera = bench.camera_of("star_tracker_26mm")
-    stars = bench.stars_at(camera, [40.3, 990.8, 200.1], [30.2, 120.9, 15.5])
-    traced = Tracer(camera).render(stars, exposure_s=1.0)
-    assert set(traced.sampling) == {"arcs"}
-    dense, usual = (Tracer(camera, sobol_log2_rays=n, tolerance=1e-300).render(stars, exposure_s=1.0) for n in (21, 16))
-    light = dense.truth.electrons_in.min()
-    far, near = (np.abs(t.electrons - dense.electrons).max() / light for t in (usual, traced))
-    assert near < max(far / 4, 3e-5)
-    for name in ("bundle_x_px", "bundle_y_px", "photon_x_px", "variance_x_px2", "electrons_vignetted"):
-        values = [getattr(t.truth, name) for t in (usual, traced, dense)]
-        far, near = (np.abs(v - values[2]).max() for v in values[:2])
-        assert near < far / 2
-    assert np.abs(replace(traced.truth).electrons_image - dense.truth.electrons_image).max() < 1e-4 * light

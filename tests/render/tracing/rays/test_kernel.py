@@ -33,11 +33,7 @@ def worst_pixel(bench, camera, stars, traced, rays=None, **dense):
 
 @pytest.mark.parametrize(
     ("defocus_mm", "diffusion_px", "tolerance"),
-    [
-        (0.0, 0.18, 3e-5),
-        (0.02, 0.18, 1e-5),
-        pytest.param(-0.05, 0.3, 3e-5, marks=pytest.mark.slow),
-    ],
+    [(0.0, 0.18, 3e-5), (0.02, 0.18, 1e-5), pytest.param(-0.05, 0.3, 3e-5, marks=pytest.mark.slow)],
 )
 def test_pixels_against_brute_force(engine, bench, defocus_mm, diffusion_px, tolerance):
     camera = bench.camera_of(defocus_mm=defocus_mm, charge_diffusion_px=diffusion_px)

@@ -19,7 +19,6 @@ from optics.waves.pupil_field import PupilField, trace_pupil
 from render.camera import Camera
 from render.motion.trajectory import ConstantRate
 from render.tracing.motion.exposure import exposure_motion
-from render.tracing.psf import render_epsf
 from render.tracing.tracer import Tracer
 from render.tracing.waves.field_grid_build import plan_grid
 
@@ -171,21 +170,6 @@ def test_a_hole_in_the_stop_makes_the_amplitude_of_the_disk_less_that_of_the_hol
     shares = traced.electrons[::-1, :, 0] / (truth.electrons_in - truth.electrons_vignetted)[0, 0]
     assert np.abs(shares - expected).max() < 1e-4 * expected.max()
     assert list(traced.sampling) == ["quadrature"]
-
-
-@pytest.mark.slow
-def test_effective_psf_is_what_the_renderer_puts_into_pixels(engine):
-    camera = looking_at(camera_of("star_camera_206mm", 13, 13), 2.0, 1.0, 600.0, (6.0, 6.0))
-    stars = star_field(field_direction(2.0, 1.0), 600.0)
-    tracer = Tracer(camera)
-    truth = tracer.render(stars, exposure_s=1.0).truth
-    at = np.array([truth.bundle_x_px[0, 0], truth.bundle_y_px[0, 0]])
-    centred = replace(camera, centre_px=camera.centre_px - (at - 6.0))  # the centroid on the middle of a pixel
-    image = Tracer(centred).render(stars, exposure_s=1.0)
-    psf = render_epsf(tracer, stars, half_size_px=5, oversampling=4)[0][0].values
-    middle = psf.shape[0] // 2
-    pixels = psf[middle - 16 : middle + 17 : 4, middle - 16 : middle + 17 : 4]
-    assert image.electrons[2:11, 2:11, 0] / truth.electrons_in[0, 0] == pytest.approx(pixels, abs=2e-6)
 
 
 @pytest.mark.parametrize(
