@@ -78,7 +78,7 @@ def attitudes(name: str = "list.ecsv", kind: str = "list", **columns: Any) -> Ca
 
 
 def scene(**changes: Any) -> Call:
-    dark = {"background": {"extra_e_per_s": 0.0}}
+    dark = {"background": {"extra_e_per_s": 0.0}, "frames": 2}
     return lambda _: build_scene(DatasetConfig.model_validate(dark | FIELD | changes))
 
 

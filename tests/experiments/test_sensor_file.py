@@ -133,18 +133,12 @@ def test_cube_says_why_it_takes_no_sensor(capsys):
     ("text", "said"),
     [
         ("[instrument]\nlense = 'x'", "unknown key 'instrument.lense'; did you mean 'lens'?"),
-        ("[instrumnt]\n", "unknown key 'instrumnt'; did you mean 'instrument'?"),
         ("[instrument]\nexposure_s = -1", r"instrument.exposure_s = -1: .*\(allowed: above 0 and at most 10000"),
-        ("[instrument]\nf_number = -1", r"instrument.f_number = -1: .*\(allowed: above 0 and at most 1000\)"),
         ("[instrument]\nhousing = 'aluminium'", "instrument.housing.material = 'aluminium': .*did you mean aluminium_"),
         ("[filters]\nfiles = ['a.csv']", "1 files for 3 centres_nm"),
         ("window_px = 12", "12 px is even"),
         ("centroid = 'gausian'", "did you mean gaussian"),
         ("[passband]\nrange_nm = [900, 450]", "two increasing wavelengths"),
-        ("instrument = 3", "a table is needed"),
-        ("[instrument", "not valid TOML"),
-        ("edge_nm = 3", "key 'edge_nm' is ambiguous: passband.edge_nm or filters.edge_nm"),
-        ("detector = detector.toml", 'quote it: detector = "detector.toml"'),
         ("pixel_pitch_um = 5.5", r'a detector file where .*: \[instrument\] detector = "my.toml"'),
     ],
 )

@@ -125,17 +125,8 @@ def mean_of(x, y, weight):
 @pytest.fixture(scope="session")
 def bench():
     """The functions above."""
-    return SimpleNamespace(
-        bundle=bundle,
-        camera_of=camera_of,
-        focal_length_mm=focal_length_mm,
-        geometry=GEOMETRY,
-        launched=launched,
-        mean_of=mean_of,
-        pixel_integrals=pixel_integrals,
-        stars_at=stars_at,
-        window=window,
-    )
+    functions = (bundle, camera_of, focal_length_mm, launched, mean_of, pixel_integrals, stars_at, window)
+    return SimpleNamespace(geometry=GEOMETRY, **{function.__name__: function for function in functions})
 
 
 @pytest.fixture(scope="session", params=["llvm", pytest.param("cuda", marks=pytest.mark.cuda)])

@@ -41,17 +41,6 @@ def test_fields_do_not_influence_each_other(engine, bench, small):
     assert not a.electrons.flags.writeable
 
 
-@pytest.mark.slow
-def test_a_star_that_moves_smoothly_gives_an_image_that_changes_smoothly(engine, bench, small):
-    """A pass of a star over two pixels: no jumps from stamp corners, taps or strips."""
-    camera, whole = small
-    renderer = StarRenderer(camera)
-    x = 3000.0 + np.linspace(-1.0, 1.0, 41)
-    stack = np.stack([renderer.render(bench.stars_at(whole, v, 500.3)).electrons[..., 0] for v in x]).astype(float)
-    second = np.diff(stack, 2, axis=0) / stack.sum((1, 2)).mean()
-    assert np.abs(np.diff(second, axis=0)).max() < 5e-3  # third difference of a smooth pass: (0.05/0.2)^3 / 5
-
-
 def test_camera_with_a_band_name_that_holds_a_comma(engine, bench, small):
     camera, whole = small
     stars = replace(bench.stars_at(whole, 3000.0, 500.0), band=("V, narrow",))

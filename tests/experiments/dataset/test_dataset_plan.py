@@ -25,8 +25,8 @@ from optics.attitude import angles_from_attitude
 N = 500
 
 
-def frames_of(count=N, **settings):
-    plan = build_plan(DatasetConfig(frames=count, **settings))
+def frames_of(count=N, diagonal_deg=0.0, **settings):
+    plan = build_plan(DatasetConfig(frames=count, **settings), diagonal_deg=diagonal_deg)
     return [plan_frame(plan, frame) for frame in range(count)]
 
 
@@ -97,11 +97,6 @@ def test_splits_are_shared_out_in_blocks():
     assert names[:100] != names[100:200]
 
 
-def planned(count, diagonal_deg, **settings):
-    plan = build_plan(DatasetConfig(frames=count, **settings), diagonal_deg=diagonal_deg)
-    return [plan_frame(plan, frame) for frame in range(count)]
-
-
 def listed(tmp_path):
     """Attitudes of an oblong patch, in a file."""
     ra, dec = np.random.default_rng(5).uniform(-1.0, 1.0, (2, 100)) * np.array([[40.0], [10.0]])
@@ -117,12 +112,12 @@ def test_every_kind_of_pointing_has_its_splits(tmp_path):
         assert (plan.splits.by, plan.splits.gap_deg) == (by, pytest.approx(8.0))
         names = [plan_frame(plan, frame).split for frame in range(100)]
         assert names.count("train") > 30
-        assert names[:50] == [one.split for one in planned(50, 8.0, pointing=pointing)]
+        assert names[:50] == [one.split for one in frames_of(50, 8.0, pointing=pointing)]
 
 
 @pytest.mark.parametrize(("pointing", "diagonal_deg"), [(ConePointing(), 17.7), (SkyPointing(), 120.0)])
 def test_frames_are_split_at_random_if_the_gaps_leave_too_few(pointing, diagonal_deg):
-    frames = planned(100, diagonal_deg, pointing=pointing)
+    frames = frames_of(100, diagonal_deg, pointing=pointing)
     assert {frame.split for frame in frames} == {"train", "validation", "test"}
 
 

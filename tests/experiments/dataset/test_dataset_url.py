@@ -157,12 +157,3 @@ def test_at_a_url_as_in_a_folder(url, engine, tmp_path, capsys):
         first = pq.read_table(stream).to_pylist()[0]
     frame = read_frame(f"{url}/{first['file']}")
     np.testing.assert_array_equal(frame.dn, fits.getdata(folder / first["file"]))
-
-
-@pytest.mark.slow
-def test_what_others_hold_there_is_left(engine, capsys):
-    store = Store(f"memory://{uuid.uuid4().hex}")
-    store.write("letters.txt", b"mine")
-    assert main([*RUN, "--out", store.url], own_process=False) == 2
-    assert "is no dataset" in capsys.readouterr().err
-    assert objects(store.url) == {"letters.txt": b"mine"}

@@ -63,11 +63,8 @@ def test_later_layers_win_and_only_where_they_speak(tmp_path):
     [
         ("frames=12", lambda c: c.frames == 12),
         ("label=500", lambda c: c.label == "500"),
-        ("label='500 nm'", lambda c: c.label == "500 nm"),
         ("label=a=b", lambda c: c.label == "a=b"),
-        ("label=true", lambda c: c.label == "true"),
         ("cooled=true", lambda c: c.cooled is True),
-        ("lens.defocus_um=-3", lambda c: c.lens.defocus_um == -3.0),
         ("lens.tilt_deg=[1, 2.5]", lambda c: c.lens.tilt_deg == (1.0, 2.5)),
         ("filters.1.name=600", lambda c: [f.name for f in c.filters] == ["a", "600"]),
         ("magnitudes_mag.0=4.5", lambda c: c.magnitudes_mag == [4.5, 6.0]),
@@ -96,17 +93,12 @@ def test_plain_choice_called_kind_keeps_its_neighbours(tmp_path):
     ("setting", "expected"),
     [
         ("framse=3", "did you mean 'frames'"),
-        ("lens.defocus_mm=3", "did you mean 'defocus_um'"),
         ("frames=0", "at least 1"),
-        ("frames=many", "frames = 'many'"),
         ("frames", "key=value is needed"),
-        ("=3", "key=value is needed"),
         ("lens.defocus_um=nan", "finite"),
         ("filters.2.name=c", "items 0 to 1"),
-        ("filters.x=c", "items 0 to 1"),
         ("magnitudes_mag.0.x=c", "no table; it has no key 'x'"),
         ("lens=3", "lens"),
-        ("seed=-1", "at least 0"),
     ],
 )
 def test_bad_setting_is_one_line(setting, expected):
@@ -121,7 +113,6 @@ def test_bad_setting_is_one_line(setting, expected):
     [
         ("frames = 3\n", ["seed=2", "frames=0", "label=a"], "--set frames=0: frames = 0"),
         ("[lens]\ntilt_deg = [1.0, 2.0]\ndefocus_mm = 3\n", ["frames=2"], "run.toml: unknown key 'lens.defocus_mm'"),
-        ("frames = 3\n", ["filters.1.naem=b", "seed=2"], "--set filters.1.naem=b: unknown key 'filters.1.naem'"),
         ("frames = 3\n", ["defocus_um=a", "seed=2"], "--set defocus_um=a: lens.defocus_um = 'a'"),
         ("defocus_um = 'a'\n", ["seed=2"], "run.toml: lens.defocus_um = 'a'"),
     ],
@@ -173,25 +164,22 @@ def test_a_key_has_one_spelling_and_one_short_form_in_all_layers(tmp_path):
     refuses(ConfigError, "lens.defocus_um is stated twice", load_config, Config, file=tmp_path / "run.toml")
 
 
-@pytest.mark.parametrize("settings", [[], ["lens.defocus_um=1", "frames=4"]], ids=["alone", "replaced by --set"])
 @pytest.mark.parametrize(
     ("content", "expected"),
     [
         ("frames = = 3", "not valid TOML"),
-        ("frams = 3", "did you mean 'frames'"),
         ("\xff", "TOML"),
         ("lens = 1", "lens = 1: a table is needed"),
-        ("frames = true", "frames = True: a number is needed"),
         (f"{'a.' * 3000}a = 1", "levels"),
         (f"a = {'[' * 3000}{']' * 3000}", "not valid TOML"),
     ],
 )
-def test_bad_file_is_one_line(tmp_path, content, expected, settings):
+def test_bad_file_is_one_line(tmp_path, content, expected):
     """Expected behaviour: one line that names the file; nothing of it passes because ``--set`` comes later."""
     file = tmp_path / "wrong.toml"
     file.write_text(content, encoding="latin-1")
     with pytest.raises(ConfigError, match=r"wrong\.toml") as caught:
-        load_config(Config, file=file, settings=settings)
+        load_config(Config, file=file, settings=["lens.defocus_um=1", "frames=4"])
     assert expected in str(caught.value)
     assert "\n" not in str(caught.value)
 

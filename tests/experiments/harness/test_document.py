@@ -103,9 +103,6 @@ def test_text_of_a_user_is_shown_letter_by_letter(page, label):
     plain = said.replace("&lt;", "<").replace("&gt;", ">").replace("&quot;", '"').replace("&amp;", "&")
     assert "<" not in said
     assert plain == label
-
-
-def test_markup_in_a_template_is_text_too(page):
     assert "<script" not in page("<script>alert(1)</script>")
 
 
@@ -155,11 +152,9 @@ def test_some_rows_of_a_table(page):
     ("body", "said"),
     [
         ("{{ figure('div') }}", "figure 1"),
-        ("{{ figure('gif') }}", "figure 1"),
         ("{{ table('u') }}", "known: long, t"),
         ("{{ value('tee', axis='x') }}", "te"),
         ("{{ config.lable }}", "lable"),
-        ("{% if %}", "report.md"),
     ],
 )
 def test_what_there_is_not_is_told(page, body, said):

@@ -12,7 +12,7 @@ import pytest
 
 from experiments.__main__ import main as starbench
 from experiments.harness.cli import command
-from experiments.harness.registry import declared, experiment_names
+from experiments.harness.registry import declared
 
 ROOT = Path(__file__).parents[3]
 
@@ -70,7 +70,7 @@ def test_an_empty_name_is_no_folder(main, capsys):
     assert "--out is empty" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("name", experiment_names())
+@pytest.mark.parametrize("name", ["temporal", "skycal", "budget", "dataset"])
 def test_frames_is_a_number_wherever_there_is_one(name, capsys):
     config = import_module(f"experiments.{name}.settings").experiment.config
     assert starbench([name, "-h"]) == 0

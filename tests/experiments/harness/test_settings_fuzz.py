@@ -134,7 +134,7 @@ READERS = {
 }
 
 
-@pytest.mark.parametrize("name", ["l" * 300, "l" * 300 + ".toml", "l/" * 3000 + "l.csv", "a\0b.csv"])
+@pytest.mark.parametrize("name", ["l" * 300 + ".toml", "a\0b.csv"])
 @pytest.mark.parametrize("what", READERS)
 def test_names_that_the_file_system_refuses_are_one_line(what: str, name: str) -> None:
     """Rationale: such a name is no missing file to the system but an error of its own, which came out as traceback."""

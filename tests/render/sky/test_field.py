@@ -57,11 +57,10 @@ OFF_AXIS = {"width_px": 512, "height_px": 256, "centre_px": np.array([100.0, 200
 
 
 @pytest.mark.parametrize(("lens", "part"), [*((lens, {}) for lens in LENSES), ("star_tracker_26mm", OFF_AXIS)])
-@pytest.mark.parametrize("seed", range(2))
-def test_all_stars_of_the_frame_and_no_other(bench, index, lens, part, seed):
+def test_all_stars_of_the_frame_and_no_other(bench, index, lens, part):
     camera = replace(bench.camera_of(lens), **part)
     view = field_of_view(camera, margin_px=10.0)
-    attitude = Rotation.random(random_state=seed)
+    attitude = Rotation.random(random_state=0)
     field = field_of(index, view, attitude, epoch_year=2030.0)
     v = directions_at(index.catalog, 2030.0) @ attitude.as_matrix().T
     rows = np.flatnonzero(v[:, 2] > np.cos(1.1 * view.radius_rad))

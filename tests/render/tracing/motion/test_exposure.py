@@ -133,12 +133,13 @@ def test_skew_of_a_rolling_shutter(engine, bench):
     speed, line_time_s = 30.0, 2e-5
     trajectory = turning(camera, speed, angle=0.3)
     motion = exposure_motion(trajectory, start_s=0.0, exposure_s=EXPOSURE_S, camera=camera, line_time_s=line_time_s)
-    truth = Tracer(camera).render(stars, exposure_s=EXPOSURE_S, motion=motion).truth
+    tracer = Tracer(camera)
+    truth = tracer.render(stars, exposure_s=EXPOSURE_S, motion=motion).truth
     for star in range(3):
         one = replace(stars, direction=stars.direction[[star]], photon_rate=stars.photon_rate[[star]])
         time = EXPOSURE_S / 2 + truth.chief_y_px[star, 0] * line_time_s
         rotation = trajectory.attitude(time).as_matrix()
-        still = Tracer(camera).render(one, exposure_s=EXPOSURE_S, rotation_cam_from_world=rotation).truth
+        still = tracer.render(one, exposure_s=EXPOSURE_S, rotation_cam_from_world=rotation).truth
         assert truth.chief_x_px[star, 0] == pytest.approx(still.chief_x_px[0, 0], abs=1e-5)
         assert truth.chief_y_px[star, 0] == pytest.approx(still.chief_y_px[0, 0], abs=1e-5)
         assert truth.bundle_x_px[star, 0] == pytest.approx(still.bundle_x_px[0, 0], abs=1e-3)
