@@ -80,7 +80,7 @@ def settings_of(name: str) -> list[str]:
 
 def chromatic_lsfe_arcsec(name: str) -> float:
     """Shift between the coolest and the hottest star, RMS over the window, times 3."""
-    from experiments.chromatic.settings import Config
+    from experiments.chromatic.settings import ChromaticConfig
     from experiments.chromatic.stars import most_different_px, stellar_shift
     from experiments.harness.config import load_config
     from render.engine import Engine
@@ -88,7 +88,7 @@ def chromatic_lsfe_arcsec(name: str) -> float:
     from render.sensor_file.instrument import build_instrument
 
     Engine.start("llvm")
-    config = load_config(Config, settings=settings_of(name))
+    config = load_config(ChromaticConfig, settings=settings_of(name))
     instrument = build_instrument(config.instrument)
     _, shift_px = stellar_shift(config.stars, open_band(config.passband, instrument, "full pass band"), instrument)
     pixel_rad = instrument.camera.pixel_pitch_mm / instrument.focal_length_mm

@@ -46,18 +46,18 @@ def pulls_of(seed: int, settings: tuple[str, ...] = ()) -> dict[str, dict[str, l
     settings : tuple of str
         Of the budget, as on its command line.
     """
-    from experiments.budget.experiment import pulls
+    from experiments.budget.experiment import deviations
     from experiments.budget.laboratory import build_laboratory
     from experiments.budget.measure import measure_terms
     from experiments.budget.predict import predict_terms
-    from experiments.budget.settings import Config
+    from experiments.budget.settings import BudgetConfig
     from experiments.harness.config import load_config
 
     given = [*SMALL, f"seed={seed}", f"detector.sensor_seed={1000 + seed}", *settings]
-    lab = build_laboratory(load_config(Config, settings=given))
+    lab = build_laboratory(load_config(BudgetConfig, settings=given))
     predicted, measured = predict_terms(lab, draws=DRAWS, step_draws=DRAWS), measure_terms(lab)
     return {
-        method: {term: np.ravel(pulls(predicted[method], measured[method], term)).tolist() for term in TERMS}
+        method: {term: np.ravel(deviations(predicted[method], measured[method], term)).tolist() for term in TERMS}
         for method in lab.bench.methods
     }
 

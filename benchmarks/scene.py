@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.frame import make_camera, make_stars
-from experiments.chromatic.settings import Config
+from experiments.chromatic.settings import ChromaticConfig
 from experiments.chromatic.stars import NODES
 from optics.light.band import band_nodes
 from optics.light.spectrum import Blackbody
@@ -63,7 +63,7 @@ def dataset_frames(count: int) -> tuple[Camera, list[Frame]]:
 
 def chromatic_frames(count: int) -> tuple[Camera, list[Frame]]:
     """The star grid of the chromatic experiment, every temperature at every field point, by rays."""
-    config = Config()
+    config = ChromaticConfig()
     instrument = build_instrument(config.instrument)
     camera, side = replace(instrument.camera, diffraction="rays"), config.stars.grid
     x, y = ((np.arange(side) + 0.5) / side * size - 0.5 for size in (camera.width_px, camera.height_px))

@@ -31,11 +31,11 @@ def tune(settings: list[str]) -> tuple[dict[str, float], np.ndarray]:
     from experiments.budget.experiment import PUBLISHED_ARCSEC
     from experiments.budget.laboratory import build_laboratory
     from experiments.budget.predict import coarse_terms, predict_terms
-    from experiments.budget.settings import Config
+    from experiments.budget.settings import BudgetConfig
     from experiments.harness.config import load_config
     from experiments.harness.range import with_value
 
-    start = load_config(Config, settings=[*settings, "compare=[]"])
+    start = load_config(BudgetConfig, settings=[*settings, "compare=[]"])
     signal = build_laboratory(start).signal.signal_e
     start = with_value(with_value(start, "source.magnitude_mag", None), "source.signal_e", signal)
     wanted = np.concatenate([PUBLISHED_ARCSEC[name] for name in AIM])

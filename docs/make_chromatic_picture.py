@@ -14,7 +14,7 @@ from PIL import Image
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from experiments.chromatic.experiment import field_map, run
-from experiments.chromatic.settings import Config, rendered
+from experiments.chromatic.settings import ChromaticConfig, rendered
 from experiments.harness.plotting import figure_png, house_style
 from experiments.harness.progress import Progress
 from optics.figures import draw_lens
@@ -27,7 +27,7 @@ TARGET = Path(__file__).with_name("pictures") / "chromatic.png"
 def main() -> None:
     """Run, draw, stack."""
     Engine.start("auto")
-    config = Config()
+    config = ChromaticConfig()
     outcome = rendered.outcome(config, run(config, progress=Progress()))
     drawing = draw_lens(outcome.result["bench"].instrument.camera.lens)
     with house_style():

@@ -23,19 +23,19 @@ from experiments.harness.summary import Measured, measured
 from optics.arrays import FloatArray
 from render.engine.random import Streams
 
-READINGS: dict[str, tuple[Correlation, str]] = {
+CORRELATIONS: dict[Correlation, tuple[str, str]] = {
     "independent": ("independent", "LSFE independent"),
-    "as it is": ("smooth", "chromatic LSFE common, distortion smooth"),
+    "smooth": ("as it is", "chromatic LSFE common, distortion smooth"),
     "common": ("common", "LSFE common"),
 }
-"""Correlation of the low-frequency error from star to star, and its label."""
-FAR_FROM_THE_AXIS = 0.1
-"""Part by which angles and their tangents may differ in a wide field."""
+"""Correlation of the low-frequency error from star to star -> its random stream, its label."""
+TANGENT_SLACK = 0.1
+"""Relative difference of angles and their tangents in a wide field."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Attitude:
-    """The study, 3 sigma; components are x, y (displacement of the boresight) and roll."""
+class AttitudeStudy:
+    """The rule and its test, 3 sigma; components are x, y (displacement of the boresight) and roll."""
 
     stars: int = col("Stars")  # N of the budget
     trials: int = col("Trials")  # Fields of stars per number
@@ -43,25 +43,25 @@ class Attitude:
     # Total / sqrt(N); for roll divided by the RMS distance of a star from the middle of the field, in radians
     rule_arcsec: FloatArray = col("Rule", "arcsec", ".3f", "component")
     relative_uncertainty: float = col("Uncertainty")  # Of every error: a standard deviation from so many trials
-    # Errors in units of what the rule makes of each trial's stars, root mean square: the shift of their mean by
-    # ``total / sqrt(N)``, carried to the boresight by the roll that they leave
+    # Errors in units of the rule for each trial's stars, root mean square: total / sqrt(N) is the shift of their mean,
+    # to which the roll error about that mean adds at the boresight
     over_expected: Sequence[Measured] = col("Error / rule for the same stars", dims="component")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Errors:
-    """Attitude error at N of the budget, by reading of the low-frequency error."""
+class CorrelatedErrors:
+    """Attitude error at N of the budget for one correlation of the low-frequency error."""
 
-    arcsec: FloatArray = col("Attitude error", "arcsec", ".3f", "component")
+    error_arcsec: FloatArray = col("Attitude error", "arcsec", ".3f", "component")
     over_rule: FloatArray = col("Error / rule", "", ".2f", "component")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Number:
+class StarCount:
     """Attitude errors from a number of stars."""
 
     stars: int = col("Stars")
-    arcsec: FloatArray = col("Attitude error, 3σ", "arcsec", ".4g", "reading component")
+    error_arcsec: FloatArray = col("Attitude error, 3σ", "arcsec", ".4g", "correlation component")
     rule_arcsec: FloatArray = col("Rule 1/√N", "arcsec", ".4g", "component")
     # Root mean variance that the estimator states for independent errors
     stated_arcsec: FloatArray = col("Stated by the estimator", "arcsec", ".4g", "component")
@@ -75,68 +75,71 @@ def attitude_study(
     *,
     advance: Callable[[], None] = lambda: None,
 ) -> dict[str, Any]:
-    """Monte-Carlo of the attitude: the records of `SECTIONS`."""
+    """Monte Carlo of the attitude: the records of `SECTIONS`."""
 
-    def scatters(stars: int, at: Streams) -> list[AttitudeScatter]:
+    def scatters(stars: int, branch: Streams) -> list[AttitudeScatter]:
         return [
             simulate_attitudes(
-                errors, half_field, stars, trials=config.trials, rng=at.generator(name), correlation=correlation
+                errors, half_field, stars, trials=config.trials, rng=branch.generator(stream), correlation=correlation
             )
-            for name, (correlation, _) in READINGS.items()
+            for correlation, (stream, _) in CORRELATIONS.items()
         ]
 
-    numbers, every = [], []
+    counts, failed = [], 0
     for stars in config.counts:
-        every += (found := scatters(stars, streams.child("curve", stars)))
-        numbers.append(
-            Number(
+        simulated = scatters(stars, streams.child("curve", stars))
+        failed += sum(scatter.failed for scatter in simulated)
+        counts.append(
+            StarCount(
                 stars=stars,
-                arcsec=np.stack([one.arcsec for one in found]),
+                error_arcsec=np.stack([scatter.arcsec for scatter in simulated]),
                 rule_arcsec=attitude_rule_arcsec(errors, half_field, stars),
-                stated_arcsec=found[0].stated_arcsec,
+                stated_arcsec=simulated[0].stated_arcsec,
             )
         )
         advance()
     rule = attitude_rule_arcsec(errors, half_field, config.stars)
-    first, *_ = here = scatters(config.stars, streams.child("at"))
-    part = first.relative_error
+    simulated = scatters(config.stars, streams.child("at"))
+    independent = simulated[0]
     return {
-        "attitude": Attitude(
+        "attitude": AttitudeStudy(
             stars=config.stars,
             trials=config.trials,
-            failed=sum(one.failed for one in (*every, *here)),
+            failed=failed + sum(scatter.failed for scatter in simulated),
             rule_arcsec=rule,
-            relative_uncertainty=part,
-            over_expected=measured(first.over_expected, first.over_expected * part, config.trials),
+            relative_uncertainty=independent.relative_error,
+            over_expected=measured(
+                independent.over_expected, independent.over_expected * independent.relative_error, config.trials
+            ),
         ),
-        "readings": [Errors(arcsec=one.arcsec, over_rule=one.arcsec / rule) for one in here],
-        "attitude_curve": numbers,
+        "attitude_errors": [CorrelatedErrors(error_arcsec=s.arcsec, over_rule=s.arcsec / rule) for s in simulated],
+        "attitude_curve": counts,
     }
 
 
 def _axes(q: Quantities, _: Any) -> None:
     q.axis("component", ["x", "y", "roll"], "Component")
-    labels = {name: label for name, (_, label) in READINGS.items()}
-    q.axis("reading", list(READINGS), "Low-frequency error", names=labels)
+    labels = {name: label for name, (_, label) in CORRELATIONS.items()}
+    q.axis("correlation", list(CORRELATIONS), "Low-frequency error", names=labels)
 
 
 SECTIONS = {
     "attitude": Section(
-        record=Attitude,
+        record=AttitudeStudy,
         axes=_axes,
         verdicts=[
             agree(
                 "over_expected",
                 1.0,
-                slack=FAR_FROM_THE_AXIS,
+                slack=TANGENT_SLACK,
                 title="Attitude error from stars with the measured errors over total / √N for the same stars",
             )
         ],
     ),
-    "readings": Section(
-        record=Errors,
+    "attitude_errors": Section(
+        record=CorrelatedErrors,
         across="component",
-        dim="reading",
+        dim="correlation",
         table="attitude",
         caption="Attitude error for the budget's number of stars, 3 sigma, from solved attitudes of "
         "simulated star fields.",
@@ -144,18 +147,18 @@ SECTIONS = {
         "star from the middle of the field.",
     ),
     "attitude_curve": Section(
-        record=Number,
+        record=StarCount,
         dim="stars",
         along="stars",
         rows="stars",
-        across="reading component",
+        across="correlation component",
         caption="Attitude error against the number of stars, 3 sigma.",
         figures={
             "attitude_curves": curves(
                 "stars",
-                points="arcsec",
+                points="error_arcsec",
                 lines="rule_arcsec",
-                by="reading",
+                by="correlation",
                 panels="component",
                 log="xy",
                 aspect_ratio=0.42,

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.accuracy.budget_comparison import next_draw_variance
-from calib.accuracy.chromatic import rms_shift_px, shifts, table1
+from calib.accuracy.chromatic import chromatic_error, rms_shift_px, shifts, table1
 from calib.accuracy.error_budget import ErrorTerm
-from calib.measure.centroid_error.expected_windows import drawn_positions, noiseless_positions
-from experiments.budget.laboratory import Laboratory
+from calib.measure.centroid_error.expected_windows import ExpectedWindows, drawn_positions, noiseless_positions
+from experiments.budget.laboratory import BudgetLaboratory
 from experiments.harness.sections import Section, col
 from experiments.harness.summary import Measured, measured
-from experiments.laboratory.bench.centroid_methods import has_own_epsf
+from experiments.laboratory.bench.centroid_methods import has_own_epsf, needs_measured_epsf
 from experiments.laboratory.bench.point_bench import centroiders, session_centroiders
 from experiments.laboratory.bench.points import filter_scene
 from experiments.laboratory.bench.ray_prediction import bundle_prediction, target_windows
@@ -32,29 +33,35 @@ ROUNDING_PX = 1e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChromaticTerm:
-    """ACC18's Table 1, and its term of the budget."""
+    """ACC18's Table 1 for b pairs of bands, and its term of the budget."""
 
-    table1_px: Mapping[str, FloatArray]  # (2,) Eq. 16 per pair of bands, signed
-    sigma_px: Mapping[str, FloatArray]  # (2,) Its standard deviation
-    rms_px: Mapping[str, FloatArray]  # (2,) RMS shift of the points
+    pairs: Sequence[str]  # Names of the pairs
+    table1_px: FloatArray  # (b, 2) Eq. 16, signed
+    sigma_px: FloatArray  # (b, 2) Its standard deviation
+    rms_px: FloatArray  # (b, 2) RMS shift of the points
     pixel_arcsec: float  # Angle of a pixel
     n: int  # Frames behind each entry; 0 for a prediction
 
-    def largest(self) -> list[str]:
-        """The pair with the largest entry, for x and y."""
-        return [max((abs(float(v[axis])), name) for name, v in self.table1_px.items())[1] for axis in range(2)]
+    def value(self) -> ErrorTerm:
+        """The term, 3 sigma (`calib.accuracy.chromatic.chromatic_error`)."""
+        term = chromatic_error(self.table1_px, self.sigma_px, self.pixel_arcsec, self.n)
+        significant = term.arcsec > ROUNDING_PX * self.pixel_arcsec
+        return replace(term, arcsec=np.where(significant, term.arcsec, 0.0))
 
-    def value(self, pairs: list[str] | None = None) -> ErrorTerm:
-        """The term: largest entry, divided by three, times three sigma."""
-        names = self.largest() if pairs is None else pairs
-        size = [abs(float(self.table1_px[name][axis])) for axis, name in enumerate(names)]
-        size = [value if value > ROUNDING_PX else 0.0 for value in size]
-        spread = [float(self.sigma_px[name][axis]) for axis, name in enumerate(names)]
-        return ErrorTerm(
-            arcsec=np.array(size) * self.pixel_arcsec,
-            uncertainty_arcsec=np.array(spread) * self.pixel_arcsec,
-            n=self.n,
-        )
+
+def _chromatic_term(
+    lab: BudgetLaboratory, position_px: FloatArray, sigma_px: Sequence[FloatArray], n: int
+) -> ChromaticTerm:
+    """Table 1 of positions (p, j, b, 2); ``sigma_px``: standard deviation (2,) of each entry."""
+    shift_px = shifts(position_px, lab.filtered.pairs)
+    return ChromaticTerm(
+        pairs=list(shift_px),
+        table1_px=np.array([table1(shift) for shift in shift_px.values()]),
+        sigma_px=np.array(sigma_px),
+        rms_px=np.array([rms_shift_px(shift) for shift in shift_px.values()]),
+        pixel_arcsec=lab.instrument.pixel_arcsec,
+        n=n,
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,104 +69,110 @@ class TracedTarget:
     """Target points in the four corners: quantities that depend on the light alone."""
 
     direction: FloatArray  # (p, j, 3) Points
-    place_px: FloatArray  # (p, j, b, 2) Traced bundle means
-    psf: list[list[list[EffectivePsf]]]  # PSFs ``[corner][point][band]``; empty where every centroider knows them
+    position_px: FloatArray  # (p, j, b, 2) Traced bundle means
+    psf: list[list[list[EffectivePsf]]]  # PSFs ``[corner][point][band]``; empty where no centroider depends on them
 
 
-def trace_target(lab: Laboratory, *, coarse: bool = False) -> TracedTarget:
-    """Trace the target behind every filter; PSFs only if a centroider does not know them, coarse: of middle points."""
+def trace_target(lab: BudgetLaboratory, *, coarse: bool = False) -> TracedTarget:
+    """Trace the target behind every filter; coarse: PSFs of the middle points alone."""
     bench, instrument = lab.filtered, lab.instrument
     direction = corner_directions(bench.target, instrument)
     psf: list[list[list[EffectivePsf]]] = []
     if not all(has_own_epsf(method) for method in bench.methods):
         scene, size = filter_scene(bench, instrument, by_grid=not coarse), bench.window_px // 2 + 2
         if coarse:
-            psf = [scene.filter_psfs(one[len(one) // 2][None], size) * len(one) for one in direction]
+            psf = [scene.filter_psfs(points[len(points) // 2][None], size) * len(points) for points in direction]
         else:
-            psf = [scene.filter_psfs(one, size) for one in direction]
+            psf = [scene.filter_psfs(points, size) for points in direction]
     return TracedTarget(direction, bundle_prediction(bench, instrument, direction), psf)
 
 
 def predicted_terms(
-    lab: Laboratory, traced: TracedTarget, *, draws: int, defect: NDArray[np.bool_] | None = None
+    lab: BudgetLaboratory, traced: TracedTarget, *, draws: int, defect: NDArray[np.bool_] | None = None
 ) -> dict[str, ChromaticTerm]:
     """By centroider: positions by ray trace, or by the centroider on PSFs with noise."""
-    pairs, found = lab.filtered.pairs, {}
-    place = dict.fromkeys(lab.filtered.methods, traced.place_px)
-    error = {m: np.zeros_like(traced.place_px) for m in lab.filtered.methods}
-    built: dict[str, FloatArray] = {}
-    others = [m for m in lab.filtered.methods if not has_own_epsf(m)]
-    if others:
-        drawn = _as_centroided(lab, traced, others, draws, defect)
-        place, error, built = place | drawn[0], error | drawn[1], drawn[2]
+    corners, points, *_ = traced.position_px.shape
+    exact = CentroidedTarget(traced.position_px, np.zeros_like(traced.position_px), None)
+    biased = [method for method in lab.filtered.methods if not has_own_epsf(method)]
+    windows = _corner_windows(lab, traced, defect) if biased else []
+    terms = {}
     for method in lab.filtered.methods:
-        shift, sigma = shifts(place[method], pairs), {}
-        for name, high, low in pairs:
-            square = (error[method][:, :, high] ** 2 + error[method][:, :, low] ** 2).sum((0, 1))
-            sigma[name] = np.sqrt(square) / (2.0 * traced.place_px.shape[0] * traced.place_px.shape[1])
-            if method in built:  # one PSF for all filters and corners: its noise is in every shift
-                each = np.array([table1(shifts(one, [(name, high, low)])[name]) for one in built[method]])
-                sigma[name] = np.sqrt(sigma[name] ** 2 + next_draw_variance(each))
-        found[method] = ChromaticTerm(
-            table1_px={name: table1(v) for name, v in shift.items()},
-            sigma_px=sigma,
-            rms_px={name: rms_shift_px(v) for name, v in shift.items()},
-            pixel_arcsec=lab.instrument.pixel_arcsec,
-            n=0,
-        )
-    return found
+        target = _centroided(lab, traced, windows, method, draws) if method in biased else exact
+        sigma_px = []
+        for name, high, low in lab.filtered.pairs:
+            # eq. 16 propagated: half the mean of p j independent differences
+            variance_px2 = (target.sigma_px[:, :, [high, low]] ** 2).sum((0, 1, 2)) / (2.0 * corners * points) ** 2
+            if target.session_px is not None:  # the noise of one PSF is common to all filters and corners
+                entries = table1(shifts(target.session_px, lab.filtered.pairs)[name])
+                variance_px2 = variance_px2 + next_draw_variance(entries)
+            sigma_px.append(np.sqrt(variance_px2))
+        terms[method] = _chromatic_term(lab, target.mean_px, sigma_px, 0)
+    return terms
 
 
-def _as_centroided(
-    lab: Laboratory, traced: TracedTarget, methods: Sequence[str], draws: int, defect: NDArray[np.bool_] | None
-) -> tuple[dict[str, FloatArray], dict[str, FloatArray], dict[str, FloatArray]]:
-    """Mean positions (p, j, b, 2) over drawn noise, their standard deviations, and positions (k, p, j, b, 2) by method:
-    with the PSFs of drawn sessions where a method builds them, without noise then."""
-    bench, instrument = replace(lab.filtered, methods=methods), lab.instrument
-    noise, told = instrument.pixel_noise(), nominal_noise(instrument)
-    place, error = ({m: np.empty_like(traced.place_px) for m in methods} for _ in range(2))
-    built: dict[str, FloatArray] = {}
-    rng = {m: Streams(lab.config.seed).generator("chromatic prediction") for m in methods}
-    for p, points in enumerate(traced.direction):
-        for band in range(traced.place_px.shape[2]):
-            psf = [row[band] for row in traced.psf[p]]
-            windows = target_windows(
-                replace(bench, reference=band),
-                instrument,
-                points[None],
-                psf,
-                traced.place_px[p, :, band],
-                defect=defect,
+class CentroidedTarget(NamedTuple):
+    """Predicted centroids of the target by one method."""
+
+    mean_px: FloatArray  # (p, j, b, 2) Mean over drawn noise, or over sessions
+    sigma_px: FloatArray  # (p, j, b, 2) Standard deviation of that mean over drawn noise
+    session_px: FloatArray | None  # (k, p, j, b, 2) With the PSF of each of k drawn sessions, without noise
+
+
+CornerWindows = tuple[int, int, Sequence[EffectivePsf], ExpectedWindows]
+"""Index of the corner and of the band, PSFs of the points, windows around them."""
+
+
+def _corner_windows(
+    lab: BudgetLaboratory, traced: TracedTarget, defect: NDArray[np.bool_] | None
+) -> list[CornerWindows]:
+    """Expected windows in every corner behind every filter."""
+    corner_windows = []
+    for corner, direction in enumerate(traced.direction):
+        for band in range(len(lab.filtered.filters)):
+            psf = [point[band] for point in traced.psf[corner]]
+            bench, position_px = replace(lab.filtered, reference=band), traced.position_px[corner, :, band]
+            windows = target_windows(bench, lab.instrument, direction[None], psf, position_px, defect=defect)
+            corner_windows.append((corner, band, psf, windows))
+    return corner_windows
+
+
+def _centroided(
+    lab: BudgetLaboratory, traced: TracedTarget, corner_windows: Sequence[CornerWindows], method: str, draws: int
+) -> CentroidedTarget:
+    """Centroids on drawn noise; of a method whose PSF is built from frames, noiseless with every drawn PSF."""
+    bench, shape = replace(lab.filtered, methods=(method,)), traced.position_px.shape
+    pixel, noise_model = lab.instrument.pixel_noise(), nominal_noise(lab.instrument)
+    rng = Streams(lab.config.seed).generator("chromatic prediction")
+    mean_px, sigma_px, session_px = np.empty(shape), np.zeros(shape), np.empty((len(bench.sessions), *shape))
+    built = needs_measured_epsf(method)
+    for corner, band, psf, windows in corner_windows:
+        at = corner, slice(None), band
+        if built:
+            centroids = [noiseless_positions(c, windows, noise_model) for c in session_centroiders(bench, psf, method)]
+            session_px[:, *at] = centroids
+            mean_px[at] = np.mean(centroids, axis=0)
+        else:
+            drawn_px = drawn_positions(
+                centroiders(bench, psf)[method], windows, noise_model, pixel, draws=draws, rng=rng
             )
-            for method, centroider in centroiders(bench, psf).items():
-                if sessions := session_centroiders(bench, psf, method):
-                    of_all = built.setdefault(method, np.empty((len(sessions), *traced.place_px.shape)))
-                    of_all[:, p, :, band] = [noiseless_positions(one, windows, told) for one in sessions]
-                    place[method][p, :, band] = of_all[:, p, :, band].mean(0)
-                    error[method][p, :, band] = 0.0
-                    continue
-                drawn = drawn_positions(centroider, windows, told, noise, draws=draws, rng=rng[method])
-                place[method][p, :, band] = np.nanmean(drawn, axis=0)
-                error[method][p, :, band] = np.nanstd(drawn, axis=0, ddof=1) / np.sqrt(draws)
-    return place, error, built
+            mean_px[at] = np.nanmean(drawn_px, axis=0)
+            sigma_px[at] = np.nanstd(drawn_px, axis=0, ddof=1) / np.sqrt(draws)
+    return CentroidedTarget(mean_px, sigma_px, session_px if built else None)
 
 
 def measured_terms(
-    lab: Laboratory, streams: Streams, *, advance: Callable[[], None] = lambda: None
+    lab: BudgetLaboratory, streams: Streams, *, advance: Callable[[], None] = lambda: None
 ) -> dict[str, ChromaticTerm]:
     """By centroider: the target in the four corners behind every filter, rendered, read out, reduced."""
-    bench, found = lab.filtered, {}
+    bench = lab.filtered
     frames = measure_chromatic(bench, lab.instrument, streams, patterns=bench.methods, advance=advance)
-    for method in bench.methods:
-        shift = shifts(frames.mean_px[method], bench.pairs)
-        found[method] = ChromaticTerm(
-            table1_px={name: table1(v) for name, v in shift.items()},
-            sigma_px=frames.table1_sigma(bench.pairs, method),
-            rms_px={name: rms_shift_px(v) for name, v in shift.items()},
-            pixel_arcsec=lab.instrument.pixel_arcsec,
-            n=bench.frames * int(np.prod(frames.nominal_px.shape[:2])),
+    count = bench.frames * int(np.prod(frames.nominal_px.shape[:2]))
+    return {
+        method: _chromatic_term(
+            lab, frames.mean_px[method], list(frames.table1_sigma(bench.pairs, method).values()), count
         )
-    return found
+        for method in bench.methods
+    }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -172,16 +185,16 @@ class Table1:
     rms_px: FloatArray = col("RMS shift of a point", "px", ".4f", "axis")
 
 
-def table1_of(predicted: ChromaticTerm, seen: ChromaticTerm) -> list[Table1]:
+def table1_of(predicted: ChromaticTerm, frames: ChromaticTerm) -> list[Table1]:
     """Table 1, one record for each pair of bands."""
     return [
         Table1(
             pair=pair,
-            predicted_px=predicted.table1_px[pair],
-            measured_px=measured(entry, seen.sigma_px[pair], seen.n),
-            rms_px=seen.rms_px[pair],
+            predicted_px=predicted.table1_px[row],
+            measured_px=measured(frames.table1_px[row], frames.sigma_px[row], frames.n),
+            rms_px=frames.rms_px[row],
         )
-        for pair, entry in seen.table1_px.items()
+        for row, pair in enumerate(frames.pairs)
     ]
 
 

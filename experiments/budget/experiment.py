@@ -14,15 +14,16 @@ import numpy as np
 
 from calib.accuracy.attitude_from_stars import DirectionErrors
 from calib.accuracy.budget_comparison import difference_sigma, frame_terms_ratio, term_pull, term_ratio
-from calib.accuracy.error_budget import ECSS, FRAME_TERMS, SUMS, TERMS
+from calib.accuracy.error_budget import ECSS, FRAME_TERMS, SUMS, TERMS, ErrorTerm
+from calib.accuracy.step_prediction import rms_over
 from experiments.budget import attitude
 from experiments.budget.attitude import attitude_study
 from experiments.budget.chromatic import TABLE1, table1_of
-from experiments.budget.laboratory import Laboratory, build_laboratory, check_laboratory, half_field
-from experiments.budget.measure import Measurement, measure_terms, steps_of
+from experiments.budget.laboratory import BudgetLaboratory, build_laboratory, check_laboratory, half_field
+from experiments.budget.measure import MeasuredTerms, measure_terms, steps_of
 from experiments.budget.predict import PredictedTerms, coarse_terms, predict_terms
-from experiments.budget.settings import Config
-from experiments.budget.thermal import THERMAL, Thermal, thermal_term
+from experiments.budget.settings import BudgetConfig
+from experiments.budget.thermal import THERMAL, ThermalTerm, thermal_term
 from experiments.harness.drawings import bars
 from experiments.harness.progress import Progress
 from experiments.harness.quantities import Quantities
@@ -51,7 +52,7 @@ LABELS = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Setup:
+class BudgetConditions:
     """Instrument and signal of the budget."""
 
     ecss: Sequence[str] = col("ECSS-E-ST-60-20C", dims="term")
@@ -60,7 +61,7 @@ class Setup:
     lens_name: str = col("Lens")
     detector_name: str = col("Detector")
     pixel_arcsec: float = col("Angle of a pixel", "arcsec", ".3f")
-    between_arcsec: float | None = col(
+    frame_to_frame_arcsec: float | None = col(
         "Line of sight from frame to frame",
         "arcsec",
         ".3f",
@@ -69,22 +70,23 @@ class Setup:
     no_thermal: str | None = col("Reason for no thermal term", default=None)
 
 
-def setup(lab: Laboratory) -> Setup:
+def conditions(lab: BudgetLaboratory) -> BudgetConditions:
     """Names, signal, and the line of sight of a collimator that moves."""
-    signal, between = lab.signal, 3.0 * lab.bench.power_px2(lab.instrument)[0] ** 0.5 * lab.instrument.pixel_arcsec
-    return Setup(
+    pixel_arcsec = lab.instrument.pixel_arcsec
+    frame_to_frame_px2, _ = lab.bench.power_px2(lab.instrument)
+    return BudgetConditions(
         ecss=[ECSS[name] for name in EVERY],
-        signal_e=signal.signal_e,
-        signal_star=signal.star,
+        signal_e=lab.signal.signal_e,
+        signal_star=lab.signal.star,
         lens_name=lab.instrument.camera.lens.name,
         detector_name=lab.instrument.detector.name,
-        pixel_arcsec=lab.instrument.pixel_arcsec,
-        between_arcsec=between if lab.bench.collimator is not None else None,
+        pixel_arcsec=pixel_arcsec,
+        frame_to_frame_arcsec=None if lab.bench.collimator is None else 3.0 * pixel_arcsec * frame_to_frame_px2**0.5,
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Comparison:
+class TermComparison:
     """Terms and sums of the budget by a centroider, 3 sigma; uncertainties are one standard deviation."""
 
     predicted_arcsec: FloatArray = col(
@@ -107,61 +109,54 @@ class Comparison:
 class Agreement:
     """Whether prediction and frames agree, by centroider."""
 
-    # LSFE-S: of the entry of Table 1 that is farthest from its prediction
-    pull: FloatArray = col("Deviation", "sigma", "+.2f", "tested axis")
-    # The same for the verdict, with its standard deviation, and the predicted terms in that unit: errors of these are
-    # to be noticed, not of C2, which is no property of the camera
-    deviation: Sequence[Sequence[Measured]] = col("Deviation", "sigma", dims="tested axis", shown=False)
-    whole: FloatArray = col("Term", "sigma", ".3g", "tested axis", shown=False)
-    together: FloatArray = col(
-        "TE, HSFE and S together, predicted over measured",
-        dims="axis",
-    )
+    # Predicted minus measured; LSFE-S: of the entry of Table 1 with the largest deviation
+    deviation_sigma: FloatArray = col("Deviation", "sigma", "+.2f", "tested axis")
+    # Predicted term in units of the same standard deviation; 0 for C2, which is no property of the camera
+    term_sigma: FloatArray = col("Term", "sigma", ".3g", "tested axis", shown=False)
+    frame_terms_ratio: Sequence[Measured] = col("TE, HSFE and S together, predicted over measured", dims="axis")
 
 
-def compared(predicted: PredictedTerms, frames: Measurement | None = None) -> Comparison:
+def compared(predicted: PredictedTerms, frames: MeasuredTerms | None = None) -> TermComparison:
     """Predicted and measured budget of one centroider; no ratio of terms below 5 sigma of the measurement."""
-    a = [predicted.budget[name] for name in EVERY]
-    first = measured([one.arcsec for one in a], [one.uncertainty_arcsec for one in a])
+    predictions = [predicted.budget[name] for name in EVERY]
+    comparison = TermComparison(predicted_arcsec=_with_uncertainty(predictions))
     if frames is None:
-        return Comparison(predicted_arcsec=first)
-    b = [frames.budget[name] for name in EVERY]
-    ratio = np.stack([term_ratio(name, *terms) for name, *terms in zip(EVERY, a, b, strict=True)], axis=1)
-    return Comparison(
-        predicted_arcsec=first,
-        measured_arcsec=measured([one.arcsec for one in b], [one.uncertainty_arcsec for one in b]),
-        measured_n=np.repeat([[one.n] for one in b], 2, axis=1),
-        ratio=measured(*ratio),
+        return comparison
+    measurements = [frames.budget[name] for name in EVERY]
+    ratios = [term_ratio(*terms) for terms in zip(EVERY, predictions, measurements, strict=True)]
+    return replace(
+        comparison,
+        measured_arcsec=_with_uncertainty(measurements),
+        measured_n=np.repeat([[term.n] for term in measurements], 2, axis=1),
+        ratio=measured(*np.stack(ratios, axis=1)),
     )
 
 
-def pulls(predicted: PredictedTerms, frames: Measurement, name: str) -> FloatArray:
+def _with_uncertainty(terms: Sequence[ErrorTerm]) -> Any:
+    return measured([term.arcsec for term in terms], [term.uncertainty_arcsec for term in terms])
+
+
+def deviations(predicted: PredictedTerms, frames: MeasuredTerms, name: str) -> FloatArray:
     """Predicted minus measured (2,) in standard deviations; of the chromatic term of its signed entries (b, 2)."""
-    if name == "LSFE-S":
-        a, b = predicted.chromatic, frames.chromatic
-        return np.stack(
-            [
-                (a.table1_px[pair] - b.table1_px[pair]) / np.hypot(a.sigma_px[pair], b.sigma_px[pair])
-                for pair in b.table1_px
-            ]
-        )
-    return term_pull(name, predicted.budget[name], frames.budget[name])
+    if name != "LSFE-S":
+        return term_pull(name, predicted.budget[name], frames.budget[name])
+    a, b = predicted.chromatic, frames.chromatic
+    return (a.table1_px - b.table1_px) / np.hypot(a.sigma_px, b.sigma_px)
 
 
-def agreement(predicted: PredictedTerms, frames: Measurement) -> Agreement:
+def agreement(predicted: PredictedTerms, frames: MeasuredTerms) -> Agreement:
     """Largest deviation of each term, and the root sum of squares of `FRAME_TERMS`, predicted over measured."""
-    largest, whole = [], []
+    largest, term_sigma = [], []
     for name in TESTED:
-        entries = np.atleast_2d(pulls(predicted, frames, name))
+        entries = np.atleast_2d(deviations(predicted, frames, name))
         largest.append(entries[np.abs(entries).argmax(0), [0, 1]])
-        term, other = predicted.budget[name], frames.budget[name]
-        spread = difference_sigma(name, term.uncertainty_arcsec, other.uncertainty_arcsec)
-        whole.append(term.arcsec / np.maximum(spread, 1e-300) * (name != "LSFE-C2"))
+        prediction, measurement = predicted.budget[name], frames.budget[name]
+        sigma = difference_sigma(name, prediction.uncertainty_arcsec, measurement.uncertainty_arcsec)
+        term_sigma.append(prediction.arcsec / np.maximum(sigma, 1e-300) * (name != "LSFE-C2"))
     return Agreement(
-        pull=np.array(largest),
-        deviation=measured(largest, 1.0),
-        whole=np.array(whole),
-        together=measured(*frame_terms_ratio(predicted.budget, frames.budget)),
+        deviation_sigma=np.array(largest),
+        term_sigma=np.array(term_sigma),
+        frame_terms_ratio=measured(*frame_terms_ratio(predicted.budget, frames.budget)),
     )
 
 
@@ -173,19 +168,19 @@ class Tuned:
     within_fraction: float = col("Required agreement")
 
 
-def tuned(config: Config, frames: Measurement) -> Tuned | None:
+def tuned(config: BudgetConfig, frames: MeasuredTerms) -> Tuned | None:
     """Measured over published, if requested in the configuration."""
     if config.published_within_fraction is None:
         return None
-    seen, wanted = [frames.budget[name] for name in AIMED], np.array([PUBLISHED_ARCSEC[name] for name in AIMED])
-    values, errors = (np.array([getattr(one, part) for one in seen]) for part in ("arcsec", "uncertainty_arcsec"))
-    return Tuned(
-        over_published=measured(values / wanted, errors / wanted), within_fraction=config.published_within_fraction
-    )
+    ratios = [
+        (frames.budget[name].arcsec / published, frames.budget[name].uncertainty_arcsec / published)
+        for name, published in ((name, np.array(PUBLISHED_ARCSEC[name])) for name in AIMED)
+    ]
+    return Tuned(over_published=measured(*np.stack(ratios, axis=1)), within_fraction=config.published_within_fraction)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Chief:
+class AxisRms:
     """Predicted terms and total, 3 sigma, root mean square of x and y, for sweeps and comparisons."""
 
     total_rms_arcsec: float = col("Total (x, y RMS)", "arcsec", ".3f")
@@ -195,66 +190,64 @@ class Chief:
     distortion_rms_arcsec: float = col("LSFE-C1", "arcsec", ".3f")
 
 
-def chief(predicted: PredictedTerms) -> Chief:
+def axis_rms(predicted: PredictedTerms) -> AxisRms:
     """Root mean squares over the axes."""
     names = {"total": "total", "te": "TE", "hsfe": "HSFE", "chromatic": "LSFE-S", "distortion": "LSFE-C1"}
-    values = {f"{key}_rms_arcsec": predicted.budget[name].arcsec for key, name in names.items()}
-    return Chief(**{key: float(np.sqrt((value**2).mean())) for key, value in values.items()})
+    return AxisRms(
+        **{f"{field}_rms_arcsec": float(rms_over([*predicted.budget[name].arcsec])) for field, name in names.items()}
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Cause:
-    """A cause of the HSFE, predicted, 3 sigma."""
+class HsfeContribution:
+    """Contribution of a cause to the HSFE, predicted, 3 sigma."""
 
-    name: str = col("Cause")
-    arcsec: FloatArray = col("Part of the HSFE", "arcsec", ".3f", "axis")
+    cause: str = col("Cause")
+    hsfe_arcsec: FloatArray = col("Part of the HSFE", "arcsec", ".3f", "axis")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Parts:
+class TermParts:
     """Parts of the terms by the main centroider, 3 sigma."""
 
-    bound_te_arcsec: FloatArray = col("TE: Cramér-Rao bound", "arcsec", ".3f", "axis")
-    predicted_single_arcsec: FloatArray = col("HSFE of one position, predicted", "arcsec", ".3f", "axis")
-    measured_single_arcsec: FloatArray = col("measured", "arcsec", ".3f", "axis")
-    predicted_found_arcsec: FloatArray = col("σ_d, predicted", "arcsec", ".3f", "axis")
-    measured_found_arcsec: FloatArray = col("measured", "arcsec", ".3f", "axis")
-    predicted_left_arcsec: FloatArray = col("σ_Dd, predicted", "arcsec", ".3f", "axis")
-    measured_left_arcsec: FloatArray = col("measured", "arcsec", ".3f", "axis")
+    te_cramer_rao_arcsec: FloatArray = col("TE: Cramér-Rao bound", "arcsec", ".3f", "axis")
+    single_position_predicted_arcsec: FloatArray = col("HSFE of one position, predicted", "arcsec", ".3f", "axis")
+    single_position_measured_arcsec: FloatArray = col("measured", "arcsec", ".3f", "axis")
+    sigma_d_predicted_arcsec: FloatArray = col("σ_d, predicted", "arcsec", ".3f", "axis")
+    sigma_d_measured_arcsec: FloatArray = col("measured", "arcsec", ".3f", "axis")
+    sigma_dd_predicted_arcsec: FloatArray = col("σ_Dd, predicted", "arcsec", ".3f", "axis")
+    sigma_dd_measured_arcsec: FloatArray = col("measured", "arcsec", ".3f", "axis")
     # C1 of a perfect camera without noise
-    marking_alone_arcsec: FloatArray = col("C1 of marking errors alone", "arcsec", ".3f", "axis")
-    one_survey_arcsec: FloatArray = col("C1, one survey", "arcsec", ".3f", "axis")
-    survey_scatter_arcsec: FloatArray = col("Its scatter", "arcsec", ".3f", "axis")
+    c1_marking_errors_arcsec: FloatArray = col("C1 of marking errors alone", "arcsec", ".3f", "axis")
+    c1_single_survey_arcsec: FloatArray = col("C1, one survey", "arcsec", ".3f", "axis")
+    c1_survey_scatter_arcsec: FloatArray = col("Its scatter", "arcsec", ".3f", "axis")
 
 
-def parts(predicted: PredictedTerms, frames: Measurement) -> Parts:
-    """Numbers of both sides."""
-    sides = {
-        f"{side}_{part}_arcsec": getattr(of, f"{part}_arcsec")
-        for side, of in (("predicted", predicted), ("measured", frames))
-        for part in ("single", "found", "left")
-    }
-    return Parts(
-        bound_te_arcsec=predicted.bound_te_arcsec,
-        marking_alone_arcsec=predicted.marking_alone_arcsec,
-        one_survey_arcsec=frames.one_survey_arcsec,
-        survey_scatter_arcsec=frames.survey_scatter_arcsec,
-        **sides,
+def parts(predicted: PredictedTerms, frames: MeasuredTerms) -> TermParts:
+    """Numbers of the prediction and of the frames."""
+    return TermParts(
+        te_cramer_rao_arcsec=predicted.te_cramer_rao_arcsec,
+        single_position_predicted_arcsec=predicted.single_position_arcsec,
+        single_position_measured_arcsec=frames.single_position_arcsec,
+        sigma_d_predicted_arcsec=predicted.sigma_d_arcsec,
+        sigma_d_measured_arcsec=frames.sigma_d_arcsec,
+        sigma_dd_predicted_arcsec=predicted.sigma_dd_arcsec,
+        sigma_dd_measured_arcsec=frames.sigma_dd_arcsec,
+        c1_marking_errors_arcsec=predicted.c1_marking_errors_arcsec,
+        c1_single_survey_arcsec=frames.c1_single_survey_arcsec,
+        c1_survey_scatter_arcsec=frames.c1_survey_scatter_arcsec,
     )
 
 
-def collimator(lab: Laboratory, frames: Mapping[str, Measurement]) -> CollimatorShift | None:
-    """Contribution of the collimator to Table 1; by a fit of the true PSF, which follows all light, for any main
-    centroider."""
-    table, corners = (
-        frames[motion_method(lab.config.methods)].chromatic,
-        corner_directions(lab.config.target, lab.instrument),
-    )
-    values = (np.array(list(of.values())) for of in (table.table1_px, table.sigma_px))
-    return collimator_shift(lab.filtered, lab.instrument, corners, *values)
+def collimator(lab: BudgetLaboratory, frames: Mapping[str, MeasuredTerms]) -> CollimatorShift | None:
+    """Contribution of the collimator to Table 1, for any main centroider by a fit of the true PSF: its position follows
+    the mean of all light."""
+    table = frames[motion_method(lab.config.methods)].chromatic
+    corners = corner_directions(lab.config.target, lab.instrument)
+    return collimator_shift(lab.filtered, lab.instrument, corners, table.table1_px, table.sigma_px)
 
 
-def axes(config: Config) -> Quantities:
+def axes(config: BudgetConfig) -> Quantities:
     """Terms, axes, centroiders, pairs of filters."""
     q = Quantities()
     names = {name: LABELS.get(name, name) for name in EVERY}
@@ -268,30 +261,33 @@ def axes(config: Config) -> Quantities:
     return q
 
 
-def predict(config: Config, *, progress: Progress) -> dict[str, Any]:
+def predict(config: BudgetConfig, *, progress: Progress) -> dict[str, Any]:
     """The budget without frames, of the main centroider (`experiments.budget.predict.coarse_terms`)."""
     with progress.stage("predict"):
         terms = coarse_terms(config)
-    return {"setup": setup(build_laboratory(config)), **of_prediction(config, {config.centroid: terms})}
-
-
-def of_prediction(
-    config: Config, predicted: Mapping[str, PredictedTerms], frames: Mapping[str, Measurement] | None = None
-) -> dict[str, Any]:
-    """Sections of a prediction, with measured values where frames exist."""
-    sides = [compared(one, frames[name] if frames else None) for name, one in predicted.items()]
-    known = is_published_sensor(config) or config.published_within_fraction is not None
-    published = np.array([PUBLISHED_ARCSEC[name] for name in EVERY]) if known else None
-    first = predicted[config.centroid]
     return {
-        "terms": replace(sides[0], published_arcsec=published),
-        "methods": sides if frames else None,
-        "chief": chief(first),
-        "causes": [Cause(name=name, arcsec=value) for name, value in first.causes_arcsec.items()],
+        "setup": conditions(build_laboratory(config)),
+        **prediction_sections(config, {config.centroid: terms}),
     }
 
 
-def run(config: Config, *, progress: Progress) -> dict[str, Any]:
+def prediction_sections(
+    config: BudgetConfig, predicted: Mapping[str, PredictedTerms], frames: Mapping[str, MeasuredTerms] | None = None
+) -> dict[str, Any]:
+    """Sections of a prediction, with measured values where frames exist."""
+    comparisons = [compared(terms, frames[name] if frames else None) for name, terms in predicted.items()]
+    comparable = is_published_sensor(config) or config.published_within_fraction is not None
+    published = np.array([PUBLISHED_ARCSEC[name] for name in EVERY]) if comparable else None
+    main = predicted[config.centroid]
+    return {
+        "terms": replace(comparisons[0], published_arcsec=published),
+        "methods": comparisons if frames else None,
+        "rms": axis_rms(main),
+        "causes": [HsfeContribution(cause=cause, hsfe_arcsec=hsfe) for cause, hsfe in main.causes_arcsec.items()],
+    }
+
+
+def run(config: BudgetConfig, *, progress: Progress) -> dict[str, Any]:
     """Predict, measure, vary.
 
     Raises
@@ -308,36 +304,36 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
         frames = measure_terms(lab, advance=stage.advance)
     with progress.stage("temperature"):
         thermal = thermal_term(lab, streams.child("temperature"))
-    first, seen = predicted[config.centroid], frames[config.centroid]
+    main, main_frames = predicted[config.centroid], frames[config.centroid]
     with progress.stage("attitude", total=len(config.attitude.counts)) as stage:
-        errors = DirectionErrors.of(seen.budget)
+        errors = DirectionErrors.of(main_frames.budget)
         study = attitude_study(
             half_field(lab.instrument), errors, config.attitude, streams.child("attitude"), advance=stage.advance
         )
-    if isinstance(thermal, Thermal):
-        term = np.array([one.value for one in thermal.measured_arcsec])
+    if isinstance(thermal, ThermalTerm):
+        lsfe_t = np.array([axis.value for axis in thermal.measured_arcsec])
         thermal = replace(
             thermal,
-            total_predicted_arcsec=np.hypot(thermal.predicted_arcsec, first.budget.total.arcsec),
-            total_measured_arcsec=np.hypot(term, seen.budget.total.arcsec),
+            total_predicted_arcsec=np.hypot(thermal.predicted_arcsec, main.budget.total.arcsec),
+            total_measured_arcsec=np.hypot(lsfe_t, main_frames.budget.total.arcsec),
         )
     return {
-        "setup": replace(setup(lab), no_thermal=thermal if isinstance(thermal, str) else None),
-        **of_prediction(config, predicted, frames),
+        "setup": replace(conditions(lab), no_thermal=thermal if isinstance(thermal, str) else None),
+        **prediction_sections(config, predicted, frames),
         "agreement": [agreement(predicted[method], frames[method]) for method in config.methods],
-        "tuned": tuned(config, seen),
-        "parts": parts(first, seen),
-        "chromatic": table1_of(first.chromatic, seen.chromatic),
+        "tuned": tuned(config, main_frames),
+        "parts": parts(main, main_frames),
+        "chromatic": table1_of(main.chromatic, main_frames.chromatic),
         "collimator": collimator(lab, frames),
         **study,
-        "thermal": thermal if isinstance(thermal, Thermal) else None,
+        "thermal": thermal if isinstance(thermal, ThermalTerm) else None,
     }
 
 
 SECTIONS = {
-    "setup": Section(record=Setup),
+    "setup": Section(record=BudgetConditions),
     "terms": Section(
-        record=Comparison,
+        record=TermComparison,
         table="budget",
         caption="The budget, 3 sigma; uncertainties are one standard deviation.",
         note="C2, measured: scatter of repeated surveys, independent of frames. Attitude, measured: "
@@ -355,40 +351,47 @@ SECTIONS = {
         },
     ),
     "methods": Section(
-        record=Comparison,
+        record=TermComparison,
         dim="method",
         rows="term axis",
         across="method",
         columns="measured_arcsec",
         caption="Measured budget by centroider, same frames, 3 sigma.",
     ),
-    "chief": Section(record=Chief),
+    "rms": Section(record=AxisRms),
     "agreement": Section(
         record=Agreement,
         dim="method",
         rows="tested axis",
         across="method",
-        columns="pull",
+        columns="deviation_sigma",
         caption="Deviations: predicted minus measured, in standard deviations, by centroider.",
         note="LSFE-S: signed entry of ACC18 Table 1 with the largest deviation from its prediction.",
         verdicts=[
-            agree("deviation", 0.0, of="whole", each="method", title="TE, HSFE, S, C1, C2, predicted minus measured"),
-            ratio_near("together", within=0.03, at={"method": 0}),
+            agree(
+                "deviation_sigma",
+                0.0,
+                error=1.0,
+                of="term_sigma",
+                each="method",
+                title="TE, HSFE, S, C1, C2, predicted minus measured",
+            ),
+            ratio_near("frame_terms_ratio", within=0.03, at={"method": 0}),
         ],
     ),
     "tuned": Section(
         record=Tuned, verdicts=[agree("over_published", 1.0, slack="within_fraction", title="measured over published")]
     ),
     "causes": Section(
-        record=Cause,
+        record=HsfeContribution,
         dim="cause",
-        along="name",
+        along="cause",
         rows="cause",
         across="axis",
         caption="Predicted HSFE by cause, 3 sigma.",
-        figures={"cause_bars": bars("cause", bars="arcsec", by="axis", width="half", aspect_ratio=0.75)},
+        figures={"cause_bars": bars("cause", bars="hsfe_arcsec", by="axis", width="half", aspect_ratio=0.75)},
     ),
-    "parts": Section(record=Parts, rows="axis", caption="Parts of the terms, 3 sigma."),
+    "parts": Section(record=TermParts, rows="axis", caption="Parts of the terms, 3 sigma."),
     "chromatic": TABLE1,
     "collimator": COLLIMATOR,
     **attitude.SECTIONS,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from calib.accuracy.error_budget import ErrorTerm
-from experiments.budget.settings import Config, MovedConfig
+from experiments.budget.settings import BudgetConfig, MovedConfig
 from experiments.laboratory.bench.centroid_methods import has_own_epsf
 from experiments.laboratory.bench.checks import check_light
 from experiments.laboratory.bench.point_bench import Bench
@@ -33,24 +33,24 @@ from render.sensor_file.instrument import Instrument, build_instrument, configur
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Laboratory:
+class BudgetLaboratory:
     """The instrument and the targets in front of it."""
 
-    config: Config  # What it was built from
+    config: BudgetConfig
     instrument: Instrument  # The camera, its element moved, its detector as overridden
-    bench: Bench  # Point target in the whole pass band: temporal, pixel and distortion terms
-    filtered: Bench  # The same behind the filters: chromatic term
+    bench: Bench  # Point target in the full pass band: temporal, pixel and distortion terms
+    filtered: Bench  # Point target behind the filters: chromatic term
     signal: Signal  # Of a point, and the star that it means
 
-    def with_epsf(self, epsf: EffectivePsf, sessions: Sequence[EffectivePsf] = ()) -> Laboratory:
+    def with_epsf(self, epsf: EffectivePsf, sessions: Sequence[EffectivePsf] = ()) -> BudgetLaboratory:
         """The laboratory with a PSF built from frames, and drawn alternatives."""
-        bench, filtered = (replace(one, epsf=epsf, sessions=sessions) for one in (self.bench, self.filtered))
+        bench, filtered = (replace(b, epsf=epsf, sessions=sessions) for b in (self.bench, self.filtered))
         return replace(self, bench=bench, filtered=filtered)
 
 
 def moved_lens(lens: LensSystem, moved: MovedConfig) -> LensSystem:
     """The lens with the configured displacement of an element; the lens itself without one."""
-    if moved == MovedConfig():  # an element of the built-in lens, where it belongs
+    if moved == MovedConfig():  # its default element is one of the built-in lens
         return lens
     lens.indices_of(moved.element)
     if moved.tilt_x_arcmin or moved.tilt_y_arcmin:
@@ -61,20 +61,18 @@ def moved_lens(lens: LensSystem, moved: MovedConfig) -> LensSystem:
     return despace(lens, moved.element, moved.despace_um * UM_MM) if moved.despace_um else lens
 
 
-def build_laboratory(config: Config, lens: LensSystem | None = None) -> Laboratory:
+def build_laboratory(config: BudgetConfig, lens: LensSystem | None = None) -> BudgetLaboratory:
     """Instrument and benches of a configuration."""
     detector = overridden(configured_detector(config.instrument), config.detector)
     prescription = moved_lens(configured_lens(config.instrument), config.moved) if lens is None else lens
-    prescription.check_surfaces()  # its terms come from elements that move and warm
+    prescription.check_surfaces()  # moved elements and temperature need a prescription
     instrument = build_instrument(config.instrument, prescription, detector)
-    filters = config.filters
-    narrow = interference_filters(filters)
-    wide = (open_band(config.passband, instrument, "open"),)
-    for band in narrow:
+    filters = interference_filters(config.filters)
+    passband = open_band(config.passband, instrument, "open")
+    for band in filters:
         instrument.check_band("filters.centres_nm", band)
-
-    collimator = build_collimator(config.collimator, narrow)
-    light = signal_of(config.source, wide[0], instrument, config.source.star_k)
+    collimator = build_collimator(config.collimator, filters)
+    signal = signal_of(config.source, passband, instrument, config.source.star_k)
 
     def bench(bands: Sequence[Filter], reference: int) -> Bench:
         return Bench(
@@ -82,7 +80,7 @@ def build_laboratory(config: Config, lens: LensSystem | None = None) -> Laborato
             lamp=Blackbody(temperature_k=config.source.lamp_k),
             filters=bands,
             reference=reference,
-            signal_e=light.signal_e,
+            signal_e=signal.signal_e,
             frames=config.frames,
             dark_frames=config.dark_frames,
             window_px=config.window_px,
@@ -90,12 +88,12 @@ def build_laboratory(config: Config, lens: LensSystem | None = None) -> Laborato
             collimator=collimator,
         )
 
-    return Laboratory(
+    return BudgetLaboratory(
         config=config,
         instrument=instrument,
-        bench=bench(wide, 0),
-        signal=light,
-        filtered=bench(narrow, filters.centres_nm.index(filters.reference_nm)),
+        bench=bench([passband], 0),
+        signal=signal,
+        filtered=bench(filters, config.filters.centres_nm.index(config.filters.reference_nm)),
     )
 
 
@@ -105,48 +103,48 @@ def half_field(instrument: Instrument) -> FloatArray:
     return np.array([camera.width_px, camera.height_px]) / 2.0 * camera.pixel_pitch_mm / instrument.focal_length_mm
 
 
-def check_laboratory(lab: Laboratory) -> None:
-    """Refuse spots wider than the window, and points that would be saturated: a pixel holds half of a sharp spot."""
-    chip, signal, corners = (
-        lab.instrument.detector,
-        lab.signal.signal_e,
-        corner_directions(lab.config.target, lab.instrument),
-    )
+def check_laboratory(lab: BudgetLaboratory) -> None:
+    """Refuse spots wider than the window, and points that saturate.
+
+    The brightest pixel of a Gaussian spot of variance s^2 per axis, s small to large against a pixel, has about
+    1 / (2 pi s^2 + 1) of its light.
+    """
+    saturation_e, signal_e = lab.instrument.detector.saturation_e, lab.signal.signal_e
+    corners = corner_directions(lab.config.target, lab.instrument)
     check_light(lab.filtered, lab.instrument, corners)
-    top = chip.saturation_e
-    _, radius, _ = expected_spots(lab.filtered, lab.instrument, corners)
-    sigma2 = float(np.nanmin(radius)) ** 2 / 2.0 + lab.instrument.camera.blur_px**2 + 1.0 / 12.0
-    if signal / (2.0 * np.pi * sigma2 + 1.0) > top:
+    _, radius_px, _ = expected_spots(lab.filtered, lab.instrument, corners)
+    variance_px2 = float(np.nanmin(radius_px)) ** 2 / 2.0 + lab.instrument.camera.blur_px**2 + 1.0 / 12.0
+    if signal_e / (2.0 * np.pi * variance_px2 + 1.0) > saturation_e:
         raise DomainError(
-            f"source: a point of {signal:g} e- saturates its brightest pixel (it holds {top:.0f} e-); "
+            f"source: a point of {signal_e:g} e- saturates its brightest pixel (it holds {saturation_e:.0f} e-); "
             "lower source.signal_e (raise source.magnitude_mag) or defocus"
         )
 
 
-def grid_streams(lab: Laboratory) -> Streams:
-    """Random streams of the grid target: one piece of hardware, the same for prediction and measurement."""
+def grid_streams(lab: BudgetLaboratory) -> Streams:
+    """Random streams of the grid target: prediction and measurement have the same points."""
     return Streams(lab.config.seed).child("budget", "grid")
 
 
-def marking(lab: Laboratory) -> ErrorTerm:
+def marking(lab: BudgetLaboratory) -> ErrorTerm:
     """C2, the marking error of the target: an input."""
     return ErrorTerm(arcsec=np.full(2, 3.0 * lab.config.grid.marking_error_arcsec))
 
 
-def places_px(lab: Laboratory) -> FloatArray:
+def places_px(lab: BudgetLaboratory) -> FloatArray:
     """Middles (q, 2) [px] of the target in the step test: along the detector, the first in the middle of chip one."""
     detector, target = lab.instrument.detector, lab.config.target
-    first = np.array([(detector.chip_width_px - 1) / 2, (detector.chip_height_px - 1) / 2])
-    half = (target.columns - 1) * target.pitch_px / 2 + 100.0
-    low, high = half, lab.instrument.camera.width_px - 1 - half
-    # fractions of a pixel apart too, so that the places do not see the same S-curve
-    steps = np.modf(np.arange(1, lab.config.steps.places) * 0.618)[0]
-    others = [[low + (high - low) * s, first[1] + 0.37 * (k + 1)] for k, s in enumerate(steps)]
-    return np.array([first.tolist(), *others])
+    centre_x, centre_y = (detector.chip_width_px - 1) / 2, (detector.chip_height_px - 1) / 2
+    margin = (target.columns - 1) * target.pitch_px / 2 + 100.0
+    low, high = margin, lab.instrument.camera.width_px - 1 - margin
+    number = np.arange(1, lab.config.steps.places)
+    # golden-ratio sequence along the columns; rows differ by fractions of a pixel: another part of the S-curve each
+    columns, rows = low + (high - low) * np.modf(number * 0.618)[0], centre_y + 0.37 * number
+    return np.column_stack([[centre_x, *columns], [centre_y, *rows]])
 
 
-_KEPT: OrderedDict[tuple[Any, ...], Any] = OrderedDict()
-_MOST_KEPT = 32
+_CACHE: OrderedDict[tuple[Any, ...], Any] = OrderedDict()
+_CACHE_SIZE = 32
 _NO_LIGHT: dict[str, Any] = {
     **dict.fromkeys(("frames", "dark_frames", "centroid", "compare", "hexapod", "attitude", "thermal"), True),
     **dict.fromkeys(("published_within_fraction", "predict_only"), True),
@@ -157,19 +155,19 @@ _NO_LIGHT: dict[str, Any] = {
 """Settings on which no PSF depends."""
 
 
-def psfs(lab: Laboratory, bench: Bench, what: str, direction: FloatArray) -> tuple[EffectivePsf, ...]:
+def psfs(lab: BudgetLaboratory, bench: Bench, target: str, direction: FloatArray) -> tuple[EffectivePsf, ...]:
     """PSFs of points (j, 3), by the name of the target."""
-    return rendered_once(lab, bench, what, lambda: point_scene(bench, lab.instrument).psfs(direction))
+    return rendered_once(lab, bench, target, lambda: point_scene(bench, lab.instrument).psfs(direction))
 
 
-def rendered_once(lab: Laboratory, bench: Bench, what: str, make: Callable[[], Any]) -> Any:
+def rendered_once(lab: BudgetLaboratory, bench: Bench, target: str, make: Callable[[], Any]) -> Any:
     """Anything that depends on the light alone: a sweep over the read noise renders it once."""
-    own = all(has_own_epsf(method) for method in bench.methods)  # PSFs of a target may not be needed
+    without_psf = all(has_own_epsf(method) for method in bench.methods)  # the chromatic target is traced alone then
     camera = repr((lab.instrument.camera, lab.instrument.camera.lens.surfaces))  # files may change under one name
-    key = (what, own, camera, lab.config.model_dump_json(exclude=_NO_LIGHT))
-    if key not in _KEPT:
-        _KEPT[key] = make()
-        while len(_KEPT) > _MOST_KEPT:
-            _KEPT.popitem(last=False)
-    _KEPT.move_to_end(key)
-    return _KEPT[key]
+    key = (target, without_psf, camera, lab.config.model_dump_json(exclude=_NO_LIGHT))
+    if key not in _CACHE:
+        _CACHE[key] = make()
+        if len(_CACHE) > _CACHE_SIZE:
+            _CACHE.popitem(last=False)
+    _CACHE.move_to_end(key)
+    return _CACHE[key]

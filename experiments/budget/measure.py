@@ -16,43 +16,37 @@ from calib.accuracy.budget_comparison import repeated_term, survey_term
 from calib.accuracy.error_budget import ErrorBudget, ErrorTerm, combine
 from calib.accuracy.step_prediction import rms_over
 from experiments.budget.chromatic import ChromaticTerm, measured_terms
-from experiments.budget.laboratory import (
-    Laboratory,
-    grid_streams,
-    half_field,
-    marking,
-    places_px,
-)
+from experiments.budget.laboratory import BudgetLaboratory, grid_streams, half_field, marking, places_px
 from experiments.laboratory.bench.centroid_methods import needs_measured_epsf
 from experiments.laboratory.bench.epsf_session import epsf_session, measured_epsf
-from experiments.laboratory.bench.points import PointScene, point_scene
-from experiments.laboratory.distortion_error import DistortionMeasurement, measure_distortion
-from experiments.laboratory.high_frequency import HighFrequencyMeasurement, measure_high_frequency
+from experiments.laboratory.bench.points import point_scene
+from experiments.laboratory.distortion_error import measure_distortion
+from experiments.laboratory.high_frequency import measure_high_frequency
 from experiments.laboratory.temporal_error import measure_temporal, target_place
 from optics.arrays import FloatArray
 from render.engine.random import Streams
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Measurement:
-    """A budget from frames."""
+class MeasuredTerms:
+    """A budget from frames; arcsec are 3 sigma."""
 
     budget: ErrorBudget  # The terms
-    single_arcsec: FloatArray  # (2,) HSFE of one position against the truth, without temporal noise
-    left_arcsec: FloatArray  # (2,) sigma_Dd, 3 sigma, RMS over the surveys
-    found_arcsec: FloatArray  # (2,) sigma_d, 3 sigma, RMS over the surveys
-    # (2,) sigma_C1 of the first survey alone: what a laboratory that surveys once would print
-    one_survey_arcsec: FloatArray
-    survey_scatter_arcsec: FloatArray  # (2,) Standard deviation of that from survey to survey
+    single_position_arcsec: FloatArray  # (2,) HSFE of one position against the truth, without temporal noise
+    sigma_d_arcsec: FloatArray  # (2,) Residuals before the polynomial, RMS over the surveys
+    sigma_dd_arcsec: FloatArray  # (2,) Residuals after it, RMS over the surveys
+    # (2,) sigma_C1 of the first survey: the number that a laboratory with a single survey would print
+    c1_single_survey_arcsec: FloatArray
+    c1_survey_scatter_arcsec: FloatArray  # (2,) Standard deviation of sigma_C1 from survey to survey
     chromatic: ChromaticTerm  # Table 1
 
 
 def measure_terms(
-    lab: Laboratory,
+    lab: BudgetLaboratory,
     *,
     advance: Callable[[], None] = lambda: None,
     streams: Streams | None = None,
-) -> dict[str, Measurement]:
+) -> dict[str, MeasuredTerms]:
     """Run the virtual laboratory for every term, and reduce its frames with every centroider."""
     root = streams or Streams(lab.config.seed).child("budget", "measured")
     instrument, grid = lab.instrument, lab.config.grid
@@ -70,7 +64,20 @@ def measure_terms(
         lab = lab.with_epsf(epsf)
     temporal = measure_temporal(lab.bench, instrument, streams=root.child("TE"), scene=scene)
     advance()
-    places = _step_tests(lab, scene, root.child("HSFE"), advance)
+    step_tests = [
+        measure_high_frequency(
+            lab.bench,
+            instrument,
+            lab.config.hexapod,
+            lab.config.steps,
+            place_px=centre_px,
+            split=False,
+            streams=root.child("HSFE", f"place {number}"),
+            scene=scene,
+            advance=advance,
+        )
+        for number, centre_px in enumerate(places_px(lab).tolist())
+    ]
     chromatic = measured_terms(lab, root.child("LSFE-S"), advance=advance)
     distortion = measure_distortion(
         lab.bench,
@@ -82,75 +89,49 @@ def measure_terms(
         scene=scene,
         advance=advance,
     )
-    found, c2 = {}, survey_term(distortion.surveyed) or marking(lab)
+    c2 = survey_term(distortion.surveyed) or marking(lab)
+    scale, surveys, measured = 3.0 * instrument.pixel_arcsec, len(distortion.surveyed), {}
     for method in lab.bench.methods:
-        every, rms, spread = _over_surveys(lab, distortion, method)
-        c1 = ErrorTerm(
-            arcsec=rms[2],
-            uncertainty_arcsec=spread[2] / np.sqrt(len(every)),
-            n=len(every) * grid.rows * grid.columns,
-        )
-        term = {
+        # sigma_d, sigma_Dd, sigma_C1 of every survey (q, 3, 2), their RMS and their scatter
+        sigma_arcsec = scale * distortion.over_surveys(method, grid.reference)
+        sigma_d, sigma_dd, sigma_c1 = np.sqrt((sigma_arcsec**2).mean(0))
+        c1_scatter = sigma_arcsec[:, 2].std(0, ddof=1) if surveys > 1 else np.full(2, np.nan)
+        terms = {
             "TE": temporal.temporal_error(method),
-            "HSFE": repeated_term([place.high_frequency_error(method) for place in places]),
+            "HSFE": repeated_term([test.high_frequency_error(method) for test in step_tests]),
             "LSFE-S": chromatic[method].value(),
-            "LSFE-C1": c1,
+            "LSFE-C1": ErrorTerm(
+                arcsec=sigma_c1,
+                uncertainty_arcsec=c1_scatter / np.sqrt(surveys),
+                n=surveys * grid.rows * grid.columns,
+            ),
             "LSFE-C2": c2,
         }
-        budget = combine(term, stars=lab.config.attitude.stars)
-        solved = attitude_term(
+        budget = combine(terms, stars=lab.config.attitude.stars)
+        attitude = attitude_term(
             budget,
             half_field(instrument),
             stars=lab.config.attitude.stars,
             trials=lab.config.attitude.trials,
             rng=root.child("attitude", method).generator("attitude"),
         )
-        found[method] = Measurement(
-            budget=replace(budget, attitude=solved),
-            single_arcsec=3.0 * instrument.pixel_arcsec * rms_over([place.single_px(method) for place in places]),
-            left_arcsec=rms[1],
-            found_arcsec=rms[0],
-            one_survey_arcsec=every[0, 2],
-            survey_scatter_arcsec=spread[2],
+        measured[method] = MeasuredTerms(
+            budget=replace(budget, attitude=attitude),
+            single_position_arcsec=scale * rms_over([test.single_px(method) for test in step_tests]),
+            sigma_d_arcsec=sigma_d,
+            sigma_dd_arcsec=sigma_dd,
+            c1_single_survey_arcsec=sigma_arcsec[0, 2],
+            c1_survey_scatter_arcsec=c1_scatter,
             chromatic=chromatic[method],
         )
-    return found
+    return measured
 
 
-def _builds_epsf(lab: Laboratory) -> bool:
+def _builds_epsf(lab: BudgetLaboratory) -> bool:
     return any(needs_measured_epsf(method) for method in lab.bench.methods)
 
 
-def steps_of(lab: Laboratory) -> int:
+def steps_of(lab: BudgetLaboratory) -> int:
     """Number of calls of ``advance`` by `measure_terms`."""
-    before = epsf_session(lab.bench).positions if _builds_epsf(lab) else 0
-    return before + 1 + lab.config.steps.places * lab.config.steps.positions + 4 + 2
-
-
-def _over_surveys(
-    lab: Laboratory, distortion: DistortionMeasurement, method: str
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """sigma_d, sigma_Dd, sigma_C1 [arcsec, 3 sigma] of every survey (q, 3, 2), their RMS and their scatter (3, 2)."""
-    every = distortion.over_surveys(method, lab.config.grid.reference) * (3.0 * lab.instrument.pixel_arcsec)
-    spread = every.std(0, ddof=1) if len(every) > 1 else np.full((3, 2), np.nan)
-    return every, np.sqrt((every**2).mean(0)), spread
-
-
-def _step_tests(
-    lab: Laboratory, scene: PointScene, streams: Streams, advance: Callable[[], None]
-) -> list[HighFrequencyMeasurement]:
-    """The step test at every place."""
-    return [
-        measure_high_frequency(
-            lab.bench,
-            lab.instrument,
-            lab.config.hexapod,
-            lab.config.steps,
-            place_px=place.tolist(),
-            split=False,
-            streams=streams.child(f"place {number}"),
-            scene=scene,
-            advance=advance,
-        )
-        for number, place in enumerate(places_px(lab))
-    ]
+    epsf_positions = epsf_session(lab.bench).positions if _builds_epsf(lab) else 0
+    return epsf_positions + 1 + lab.config.steps.places * lab.config.steps.positions + 4 + 2

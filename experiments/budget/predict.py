@@ -20,7 +20,7 @@ from calib.accuracy.step_prediction import StepPrediction, rms_over, step_term
 from calib.accuracy.temporal import small_sample_factor
 from experiments.budget.chromatic import ChromaticTerm, predicted_terms, trace_target
 from experiments.budget.laboratory import (
-    Laboratory,
+    BudgetLaboratory,
     build_laboratory,
     check_laboratory,
     grid_streams,
@@ -29,7 +29,7 @@ from experiments.budget.laboratory import (
     psfs,
     rendered_once,
 )
-from experiments.budget.settings import Config
+from experiments.budget.settings import BudgetConfig
 from experiments.laboratory.bench.centroid_methods import needs_measured_epsf
 from experiments.laboratory.bench.epsf_session import predicted_epsfs
 from experiments.laboratory.devices.targets import grid_directions
@@ -48,77 +48,85 @@ SESSIONS = 8
 COARSE_POINTS, COARSE_POSITIONS, COARSE_DRAWS = 3, 6, 60
 """Points along a side of the target, positions of the step test and noisy copies of `coarse_terms`."""
 
-_CAUSES = {"S-curve": "s_curve", "PRNU": "prnu", "offset pattern": "pattern", "defects": "defects"}
+_CAUSE_LABELS = {"s_curve": "S-curve", "prnu": "PRNU", "pattern": "offset pattern", "defects": "defects"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PredictedTerms:
-    """A budget without frames."""
+    """A budget without frames; arcsec are 3 sigma."""
 
     budget: ErrorBudget  # The terms
-    bound_te_arcsec: FloatArray  # (2,) Cramer-Rao bound of the temporal error
-    causes_arcsec: Mapping[str, FloatArray]  # (2,) What is in the HSFE, 3 sigma
-    single_arcsec: FloatArray  # (2,) HSFE of one position, without temporal noise
-    left_arcsec: FloatArray  # (2,) sigma_Dd, left by the polynomial, 3 sigma
-    found_arcsec: FloatArray  # (2,) sigma_d, before the fit, 3 sigma
-    # (2,) sigma_C1 of a perfect camera and frames without noise: what the polynomial takes of the marking errors
-    marking_alone_arcsec: FloatArray
+    te_cramer_rao_arcsec: FloatArray  # (2,) Cramer-Rao bound of the temporal error
+    causes_arcsec: Mapping[str, FloatArray]  # (2,) Contributions to the HSFE by label
+    single_position_arcsec: FloatArray  # (2,) HSFE of one position, without temporal noise
+    sigma_d_arcsec: FloatArray  # (2,) Residuals before the polynomial
+    sigma_dd_arcsec: FloatArray  # (2,) Residuals after it
+    c1_marking_errors_arcsec: FloatArray  # (2,) sigma_C1 of a perfect camera and frames without noise
     chromatic: ChromaticTerm  # Table 1
 
 
 def predict_terms(
-    lab: Laboratory,
+    lab: BudgetLaboratory,
     *,
     draws: int = 200,
     step_draws: int = 200,
     coarse: bool = False,
 ) -> dict[str, PredictedTerms]:
     """Predict every term, by centroider."""
-    instrument, seed = lab.instrument, lab.config.seed
+    config, instrument, seed = lab.config, lab.instrument, lab.config.seed
     psf = psfs(lab, lab.bench, "place 0", target_place(lab.bench, instrument))
     if any(needs_measured_epsf(method) for method in lab.bench.methods):
-        built = predicted_epsfs(lab.bench, instrument, psf, seed=seed, sessions=2 if coarse else SESSIONS)
-        lab = lab.with_epsf(built[0], built)
+        sessions = predicted_epsfs(lab.bench, instrument, psf, seed=seed, sessions=2 if coarse else SESSIONS)
+        lab = lab.with_epsf(sessions[0], sessions)
     defect = None if coarse else sensor_maps(instrument.detector).defect
     scale = 3.0 * instrument.pixel_arcsec
     temporal = predict_temporal(lab.bench, instrument, psf=psf, draws=draws, defect=defect, seed=seed)
-    steps = _step_predictions(lab, step_draws, defect, coarse=coarse)
-    name = "chromatic, coarse" if coarse else "chromatic"
-    traced = rendered_once(lab, lab.filtered, name, lambda: trace_target(lab, coarse=coarse))
+    step_tests = _step_predictions(lab, step_draws, defect, coarse=coarse)
+    target = "chromatic, coarse" if coarse else "chromatic"
+    traced = rendered_once(lab, lab.filtered, target, lambda: trace_target(lab, coarse=coarse))
     chromatic = predicted_terms(lab, traced, draws=draws, defect=defect)
-    distortion = _distortion(lab, draws, defect)
-    alone = _marking_alone_px(lab)
-    # the document's mean over standard deviations of N frames
-    short = small_sample_factor(lab.config.frames)
-    found = {}
+    grid, direction = config.grid, grid_directions(config.grid, instrument, grid_streams(lab))
+    distortion = predict_distortion(
+        lab.bench,
+        instrument,
+        grid,
+        direction,
+        psf=psfs(lab, lab.bench, "grid", direction),
+        order=grid.order,
+        references=(grid.reference,),
+        noise_draws=2 * draws,
+        defect=defect,
+        seed=seed,
+    )
+    marking_errors_px = expected_numbers(marking_errors(grid, instrument, direction), grid.order, grid.reference).rms_px
+    c4 = small_sample_factor(config.frames)  # ACC18 averages standard deviations of N frames
+    predictions = {}
     for method in lab.bench.methods:
-        te = ErrorTerm(
-            arcsec=short * temporal.sampled_error(method).arcsec,
-            uncertainty_arcsec=short * temporal.sampled_error(method).uncertainty_arcsec,
-        )
-        places = [one[method] for one in steps]
-        number, spread = (v * scale for v in distortion[method])
-        term = {
-            "TE": te,
-            "HSFE": step_term(places, places=lab.config.steps.places, pixel_arcsec=instrument.pixel_arcsec),
+        sampled = temporal.sampled_error(method)
+        steps = [step_test[method] for step_test in step_tests]
+        sigma_d, sigma_dd, sigma_c1 = scale * distortion.mean_px[method][grid.reference]
+        c1_scatter = scale * distortion.of_surveys_px(method, grid.reference, grid.surveys)[2]
+        terms = {
+            "TE": ErrorTerm(arcsec=c4 * sampled.arcsec, uncertainty_arcsec=c4 * sampled.uncertainty_arcsec),
+            "HSFE": step_term(steps, places=config.steps.places, pixel_arcsec=instrument.pixel_arcsec),
             "LSFE-S": chromatic[method].value(),
-            "LSFE-C1": ErrorTerm(arcsec=number[2], uncertainty_arcsec=spread[2]),
+            "LSFE-C1": ErrorTerm(arcsec=sigma_c1, uncertainty_arcsec=c1_scatter),
             "LSFE-C2": marking(lab),
         }
-        found[method] = PredictedTerms(
-            budget=combine(term, stars=lab.config.attitude.stars),
-            bound_te_arcsec=temporal.arcsec(temporal.bound_px[0]),
-            causes_arcsec=_causes_arcsec(places, instrument.pixel_arcsec),
-            single_arcsec=scale * rms_over([one.position_rms_px for one in places]),
-            left_arcsec=number[1],
-            found_arcsec=number[0],
-            marking_alone_arcsec=alone * scale,
+        predictions[method] = PredictedTerms(
+            budget=combine(terms, stars=config.attitude.stars),
+            te_cramer_rao_arcsec=temporal.arcsec(temporal.bound_px[0]),
+            causes_arcsec={label: scale * rms_px for label, rms_px in _causes_px(steps).items()},
+            single_position_arcsec=scale * rms_over([step.position_rms_px for step in steps]),
+            sigma_d_arcsec=sigma_d,
+            sigma_dd_arcsec=sigma_dd,
+            c1_marking_errors_arcsec=scale * marking_errors_px[2],
             chromatic=chromatic[method],
         )
-    return found
+    return predictions
 
 
-def coarse_terms(config: Config) -> PredictedTerms:
+def coarse_terms(config: BudgetConfig) -> PredictedTerms:
     """A budget predicted cheaply (see the module), of the main centroider.
 
     Raises
@@ -126,8 +134,8 @@ def coarse_terms(config: Config) -> PredictedTerms:
     StarbenchError
         On light that misses the detector or its windows, or saturates it.
     """
-    few, factor = _coarse(config.model_copy(update={"compare": ()}))
-    lab = build_laboratory(few)
+    coarse, factor = _coarse(config.model_copy(update={"compare": ()}))
+    lab = build_laboratory(coarse)
     check_laboratory(lab)
     terms = predict_terms(lab, draws=COARSE_DRAWS, step_draws=COARSE_DRAWS, coarse=True)[config.centroid]
     budget, hsfe = terms.budget, terms.budget["HSFE"]
@@ -139,80 +147,48 @@ def coarse_terms(config: Config) -> PredictedTerms:
     )
 
 
-def _coarse(config: Config) -> tuple[Config, float]:
+def _coarse(config: BudgetConfig) -> tuple[BudgetConfig, float]:
     """Configuration with a 3 x 3 target, and the factor of the pixel term."""
     target = config.target
     if target.rows != target.columns or target.rows <= COARSE_POINTS:
         return config, 1.0
-    # a third of a pixel, so that three points are at three different places of their pixels
+    # whole pixels and a third, so that the three points of a row have three different pixel phases
     pitch = np.floor(target.pitch_px * (target.rows - 1) / (COARSE_POINTS - 1)) - 2.0 / 3.0
-    few = target.model_copy(update={"rows": COARSE_POINTS, "columns": COARSE_POINTS, "pitch_px": float(pitch)})
+    coarse = target.model_copy(update={"rows": COARSE_POINTS, "columns": COARSE_POINTS, "pitch_px": float(pitch)})
     factor = np.sqrt((1.0 - 1.0 / target.rows**2) / (1.0 - 1.0 / COARSE_POINTS**2))
     steps = config.steps.model_copy(update={"positions": min(COARSE_POSITIONS, config.steps.positions)})
-    return config.model_copy(update={"target": few, "steps": steps}), float(factor)
+    return config.model_copy(update={"target": coarse, "steps": steps}), float(factor)
 
 
 def _step_predictions(
-    lab: Laboratory, draws: int, defect: NDArray[np.bool_] | None, *, coarse: bool
+    lab: BudgetLaboratory, draws: int, defect: NDArray[np.bool_] | None, *, coarse: bool
 ) -> list[Mapping[str, StepPrediction]]:
     """The step test at places along the detector, by centroider."""
-    bench, instrument, found = lab.bench, lab.instrument, []
-    # the field changes slowly, but not what one PSF for all of it does to the S-curve
-    every = 1 if any(needs_measured_epsf(method) for method in bench.methods) else 2
-    for number, middle in enumerate(places_px(lab)[: 1 if coarse else None : every]):
+    bench, instrument = lab.bench, lab.instrument
+    # the PSF changes slowly over the field, so that every second place suffices; the S-curve of one PSF for the whole
+    # field depends on the mismatch, which does not
+    stride = 1 if any(needs_measured_epsf(method) for method in bench.methods) else 2
+    predictions = []
+    for number, centre_px in enumerate(places_px(lab)[: 1 if coarse else None : stride].tolist()):
         predicted = predict_high_frequency(
             bench,
             instrument,
             lab.config.steps,
-            psf=psfs(lab, bench, f"place {number}", target_place(bench, instrument, middle.tolist())),
+            psf=psfs(lab, bench, f"place {number}", target_place(bench, instrument, centre_px)),
             hexapod=lab.config.hexapod.model_copy(update={"step_error_arcsec": 0.0} if coarse else {}),
-            place_px=middle.tolist(),
+            place_px=centre_px,
             defect=defect,
             draws=draws,
             noise_draws=STEP_NOISE_DRAWS // 3 if coarse else STEP_NOISE_DRAWS,
             seed=lab.config.seed + number,
         )
-        found.append(predicted.method)
-    return found
+        predictions.append(predicted.method)
+    return predictions
 
 
-def _causes_arcsec(places: Sequence[StepPrediction], pixel_arcsec: float) -> dict[str, FloatArray]:
-    """Causes of the HSFE, 3 sigma, RMS over places."""
-    parts = {label: [one.cause_px[key] for one in places] for label, key in _CAUSES.items()}
-    parts["averaged noise"] = [np.hypot(one.temporal_px, one.dark_px) for one in places]
-    parts["roll of the platform"] = [one.roll_px for one in places]
-    return {label: 3.0 * pixel_arcsec * rms_over(values) for label, values in parts.items()}
-
-
-def _distortion(
-    lab: Laboratory, draws: int, defect: NDArray[np.bool_] | None
-) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """sigma_d, sigma_Dd, sigma_C1 (3, 2) [px], and the scatter of their RMS over the surveys of a chip and a run."""
-    bench, grid = lab.bench, lab.config.grid
-    direction = grid_directions(grid, lab.instrument, grid_streams(lab))
-    predicted = predict_distortion(
-        bench,
-        lab.instrument,
-        grid,
-        direction,
-        psf=psfs(lab, bench, "grid", direction),
-        order=grid.order,
-        references=(grid.reference,),
-        noise_draws=2 * draws,
-        defect=defect,
-        seed=lab.config.seed,
-    )
-    return {
-        method: (
-            predicted.mean_px[method][grid.reference],
-            predicted.of_surveys_px(method, grid.reference, grid.surveys),
-        )
-        for method in bench.methods
-    }
-
-
-def _marking_alone_px(lab: Laboratory) -> FloatArray:
-    """sigma_C1 (2,) [px] of marking errors alone."""
-    grid = lab.config.grid
-    direction = grid_directions(grid, lab.instrument, grid_streams(lab))
-    return expected_numbers(marking_errors(grid, lab.instrument, direction), grid.order, grid.reference).rms_px[2]
+def _causes_px(steps: Sequence[StepPrediction]) -> dict[str, FloatArray]:
+    """Contributions (2,) to the RMS of steps [px], RMS over the places, by label."""
+    parts_px = {label: [step.cause_px[cause] for step in steps] for cause, label in _CAUSE_LABELS.items()}
+    parts_px["averaged noise"] = [np.hypot(step.temporal_px, step.dark_px) for step in steps]
+    parts_px["roll of the platform"] = [step.roll_px for step in steps]
+    return {label: rms_over(place_px) for label, place_px in parts_px.items()}

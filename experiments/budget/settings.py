@@ -12,11 +12,16 @@ from experiments.harness.config import OddPx
 from experiments.harness.experiment import Experiment
 from experiments.harness.sweeps import SweptConfig, with_what_if
 from experiments.laboratory.bench.centroid_methods import CentroiderName, ProcessingName
-from experiments.laboratory.settings import tables as laboratory_settings
 from experiments.laboratory.settings.collimator import FilteredCollimatorConfig
 from experiments.laboratory.settings.points import SourceConfig
 from experiments.laboratory.settings.sensor_file import SensorExperimentConfig
-from experiments.laboratory.settings.tables import GridTargetConfig, HexapodConfig, TargetConfig, check_windows
+from experiments.laboratory.settings.tables import (
+    GridTargetConfig,
+    HexapodConfig,
+    StepConfig,
+    TargetConfig,
+    check_windows,
+)
 from optics.settings import StrictModel
 from render.sensor_file.detector import DetectorConfig
 from render.sensor_file.tables import FilterConfig, InstrumentConfig, PassbandConfig
@@ -33,13 +38,13 @@ class MovedConfig(StrictModel):
     despace_um: float = Field(default=0.0, ge=-3000, le=3000, description="shift along the light")
 
 
-class StepConfig(laboratory_settings.StepConfig):
+class StepTestConfig(StepConfig):
     """The step test (ACC18 section 1.3)."""
 
     places: int = Field(default=6, ge=1, le=20, description="field positions of the test; the result is their RMS")
 
 
-class GridConfig(GridTargetConfig):
+class SurveyGridConfig(GridTargetConfig):
     """The grid target (ACC18 section 1.4.2) and its reduction; three times its marking error is the term C2."""
 
     order: int = Field(default=3, ge=1, le=7, description="order of the polynomial (ACC18: 3)")
@@ -51,7 +56,7 @@ class GridConfig(GridTargetConfig):
     )
 
     @model_validator(mode="after")
-    def _enough(self) -> GridConfig:
+    def _enough(self) -> SurveyGridConfig:
         points, terms = self.rows * self.columns, (self.order + 1) * (self.order + 2) // 2
         if self.order >= min(self.rows, self.columns) or points <= terms:
             raise ValueError(
@@ -71,7 +76,7 @@ class AttitudeConfig(StrictModel):
     trials: int = Field(default=4000, ge=50, le=1_000_000, description="simulated fields per star count")
 
 
-class ThermalConfig(StrictModel):
+class ThermalStabilityConfig(StrictModel):
     """Temperature of lens and housing relative to the calibration."""
 
     stability_k: float = Field(
@@ -79,7 +84,7 @@ class ThermalConfig(StrictModel):
     )
 
 
-class Config(SweptConfig, SensorExperimentConfig):
+class BudgetConfig(SweptConfig, SensorExperimentConfig):
     """Instrument and tests of the error budget."""
 
     NOT_SWEPT = frozenset({"attitude", "thermal"})
@@ -93,9 +98,9 @@ class Config(SweptConfig, SensorExperimentConfig):
     filters: FilterConfig = FilterConfig()
     collimator: FilteredCollimatorConfig = FilteredCollimatorConfig()
     hexapod: HexapodConfig = HexapodConfig()
-    steps: StepConfig = StepConfig()
-    grid: GridConfig = GridConfig()
-    thermal: ThermalConfig = ThermalConfig()
+    steps: StepTestConfig = StepTestConfig()
+    grid: SurveyGridConfig = SurveyGridConfig()
+    thermal: ThermalStabilityConfig = ThermalStabilityConfig()
     frames: int = Field(default=30, ge=2, le=10000, description="frames per position (ACC18: at least 30)")
     dark_frames: int = Field(
         default=100, ge=2, le=10000, description="dark frames per position, averaged and subtracted"
@@ -116,7 +121,7 @@ class Config(SweptConfig, SensorExperimentConfig):
     predict_only: bool = Field(default=False, description="predict only, without rendered frames")
 
     @model_validator(mode="after")
-    def _windows(self) -> Config:
+    def _windows(self) -> BudgetConfig:
         if self.target.rows * self.target.columns < 2:
             raise ValueError("target.rows * target.columns = 1: at least 2 points are needed")
         check_windows(self.window_px, self.target)
@@ -128,7 +133,7 @@ class Config(SweptConfig, SensorExperimentConfig):
         return tuple(dict.fromkeys((self.centroid, *self.compare)))
 
 
-def _instead(config: Config) -> Experiment | None:
+def _instead(config: BudgetConfig) -> Experiment | None:
     if not config.predict_only:
         return None
     return replace(rendered, run="experiment:predict", report="prediction.md", instead=None)
@@ -136,7 +141,7 @@ def _instead(config: Config) -> Experiment | None:
 
 rendered = Experiment(
     name="budget",
-    config=Config,
+    config=BudgetConfig,
     run="experiment:run",
     predict="experiment:predict",
     sections="experiment:SECTIONS",

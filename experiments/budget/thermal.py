@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.cameras.field_map import growth_along_axes, smooth_map_rms
-from experiments.budget.laboratory import Laboratory, build_laboratory
+from experiments.budget.laboratory import BudgetLaboratory, build_laboratory
 from experiments.harness.sections import Section, agree, col
 from experiments.harness.summary import Measured, measured
 from experiments.laboratory.bench.point_bench import one_filter
@@ -34,15 +34,15 @@ from render.engine.random import Streams
 
 METHOD = "cog"
 BRIGHT_E = 6000.0
-"""Electrons per star and frame at least: a centre of gravity that drowns in read noise says nothing of the lens."""
-PLACES = (8, 6)
+"""Least electrons per star and frame; below, read noise dominates a centre of gravity."""
+GRID = (8, 6)
 """Stars along a row and a column."""
 STEP_K = 1.0
 """Of the derivatives of focus and paraxial scale."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Thermal:
+class ThermalTerm:
     """LSFE-T, 3 sigma, and its contributions."""
 
     calibrated_at_c: float = col("Calibrated at", "degC", "g")
@@ -53,95 +53,93 @@ class Thermal:
     total_predicted_arcsec: FloatArray | None = col("Total with it, predicted", "arcsec", ".3f", "axis", default=None)
     total_measured_arcsec: FloatArray | None = col("Total with it, measured", "arcsec", ".3f", "axis", default=None)
     scale_ppm_per_k: FloatArray = col("Scale, traced", "1e-6/K", ".2f", "axis")
-    measured_scale_ppm_per_k: Sequence[Measured] = col(
-        "Scale, measured",
-        "1e-6/K",
-        dims="axis",
-    )
+    measured_scale_ppm_per_k: Sequence[Measured] = col("Scale, measured", "1e-6/K", dims="axis")
     paraxial_ppm_per_k: float = col("Scale, paraxial", "1e-6/K", ".2f")
     focus_um_per_k: float = col("Focus behind the detector", "um/K", "+.2f")
-    corner_px_per_k: float = col("Outermost star", "px/K", ".3f")
+    outermost_star_px_per_k: float = col("Outermost star", "px/K", ".3f")
 
 
-def chamber(lab: Laboratory, temperature_c: float) -> Laboratory:
+def in_chamber(lab: BudgetLaboratory, temperature_c: float) -> BudgetLaboratory:
     """The laboratory with lens and housing at a temperature; everything else unchanged, the focus too."""
     config = lab.config
     instrument = config.instrument.model_copy(update={"lens_temperature_c": temperature_c})
     return build_laboratory(config.model_copy(update={"instrument": instrument}))
 
 
-def warmed(lab: Laboratory, kelvin: float) -> Laboratory:
+def warmed(lab: BudgetLaboratory, kelvin: float) -> BudgetLaboratory:
     """The laboratory with lens and housing warmer than at their calibration."""
-    return chamber(lab, thermometer_c(lab) + kelvin)
+    return in_chamber(lab, thermometer_c(lab) + kelvin)
 
 
-def thermometer_c(lab: Laboratory) -> float:
+def thermometer_c(lab: BudgetLaboratory) -> float:
     """Temperature of the lens."""
     return lab.instrument.camera.lens.environment.temperature_c
 
 
-def field_directions(lab: Laboratory) -> FloatArray:
+def field_directions(lab: BudgetLaboratory) -> FloatArray:
     """Unit vectors (n, 3) in cam of stars spread evenly over the detector, at all fractions of a pixel."""
     camera = lab.instrument.camera
-    columns, rows = PLACES
+    columns, rows = GRID
     cell = np.arange(columns * rows)
-    fraction = np.modf(np.outer(cell + 1.0, [0.7549, 0.5698]))[0]  # additive recurrence: no two at one fraction
+    fraction = np.modf(np.outer(cell + 1.0, [0.7549, 0.5698]))[0]  # additive recurrence: all differ
     x = (cell % columns + 0.5) * camera.width_px / columns - 0.5 + fraction[:, 0]
     y = (cell // columns + 0.5) * camera.height_px / rows - 0.5 + fraction[:, 1]
     return camera.nominal_direction(x, y, lab.instrument.focal_length_mm)
 
 
-def thermal_term(lab: Laboratory, streams: Streams) -> Thermal | str:
+def thermal_term(lab: BudgetLaboratory, streams: Streams) -> ThermalTerm | str:
     """Predict and measure the term, or state the reason for its absence."""
     span = lab.config.thermal.stability_k
     if not span:
         return "thermal.stability_k is 0"
     try:
         ends = [warmed(lab, -span), warmed(lab, span)]
-        chambers = [chamber(lab, thermometer_c(lab) + excursion) for excursion in (-span, span)]
+        chambers = [in_chamber(lab, thermometer_c(lab) + excursion) for excursion in (-span, span)]
         cold, warm = (warmed(lab, step).instrument.camera.focused_lens for step in (-STEP_K, STEP_K))
     except DomainError as error:
         return str(error)
     direction = field_directions(lab)
-    place = nominal_px(lab.instrument, direction)
-    traced = [bundle_prediction(one_filter(end.bench), end.instrument, direction[None])[0, :, 0] for end in ends]
-    seen, read = _images(lab, chambers, direction, streams), [thermometer_c(one) for one in chambers]
-    predicted, shift = (traced[1] - traced[0]) / (2.0 * span), (seen[1] - seen[0]) / (read[1] - read[0])  # [px/K]
+    nominal = nominal_px(lab.instrument, direction)
+    traced_px = [bundle_prediction(one_filter(end.bench), end.instrument, direction[None])[0, :, 0] for end in ends]
+    centroid_px = _mean_centroids(lab, chambers, direction, streams)
+    readings_c = [thermometer_c(chamber) for chamber in chambers]
+    predicted_px_per_k = (traced_px[1] - traced_px[0]) / (2.0 * span)
+    measured_px_per_k = (centroid_px[1] - centroid_px[0]) / (readings_c[1] - readings_c[0])
     scale = span * lab.instrument.pixel_arcsec  # the excursion is three sigma already
-    size, slope = (np.array(fit(place, shift)) for fit in (smooth_map_rms, growth_along_axes))  # with their sigmas
-    value_arcsec, sigma_arcsec = scale * size
+    rms_arcsec, rms_sigma_arcsec = scale * np.array(smooth_map_rms(nominal, measured_px_per_k))
     growth, focus = paraxial_change_per_k(cold, warm, STEP_K)
-    return Thermal(
+    relative_px_per_k = predicted_px_per_k - predicted_px_per_k.mean(0)
+    return ThermalTerm(
         calibrated_at_c=thermometer_c(lab),
-        stars=len(place),
+        stars=len(nominal),
         signal_e=max(lab.bench.signal_e, BRIGHT_E),
-        predicted_arcsec=scale * predicted.std(axis=0),
-        measured_arcsec=measured(value_arcsec, sigma_arcsec, place.size * lab.bench.frames),
-        scale_ppm_per_k=1e6 * growth_along_axes(place, predicted)[0],
-        measured_scale_ppm_per_k=measured(*(1e6 * slope)),
+        predicted_arcsec=scale * predicted_px_per_k.std(axis=0),
+        measured_arcsec=measured(rms_arcsec, rms_sigma_arcsec, nominal.size * lab.bench.frames),
+        scale_ppm_per_k=1e6 * growth_along_axes(nominal, predicted_px_per_k)[0],
+        measured_scale_ppm_per_k=measured(*(1e6 * np.array(growth_along_axes(nominal, measured_px_per_k)))),
         paraxial_ppm_per_k=1e6 * growth,
         focus_um_per_k=focus,
-        corner_px_per_k=float(np.abs((predicted - predicted.mean(0)) @ [1.0, 1j]).max()),
+        outermost_star_px_per_k=float(np.hypot(*relative_px_per_k.T).max()),
     )
 
 
-def _images(
-    lab: Laboratory, ends: list[Laboratory], direction: FloatArray, streams: Streams
+def _mean_centroids(
+    lab: BudgetLaboratory, ends: list[BudgetLaboratory], direction: FloatArray, streams: Streams
 ) -> tuple[FloatArray, FloatArray]:
     """Mean centroids (n, 2) of frames through each lens."""
     psf = point_scene(lab.bench, lab.instrument).psfs(direction[:1]) * len(direction)  # the centroider uses none
-    found = []
+    centroid_px = []
     for name, end in zip(("cold", "warm"), ends, strict=True):
         bright = max(end.bench.signal_e, BRIGHT_E)
         scene = point_scene(replace(end.bench, methods=(METHOD,), signal_e=bright), end.instrument)
         light = scene.light(direction, streams.child(name), f"{name} lens", psf=psf)
         frames = read_points(light, scene.bench, end.instrument, streams=streams.child(name, "frames"))
-        found.append(frames.mean_px(METHOD))
-    return found[0], found[1]
+        centroid_px.append(frames.mean_px(METHOD))
+    return centroid_px[0], centroid_px[1]
 
 
 THERMAL = Section(
-    record=Thermal,
+    record=ThermalTerm,
     table="thermal",
     rows="axis",
     columns="predicted_arcsec measured_arcsec total_predicted_arcsec total_measured_arcsec scale_ppm_per_k "

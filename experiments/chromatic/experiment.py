@@ -25,8 +25,8 @@ from calib.accuracy.chromatic import (
     shifts,
     table1,
 )
-from experiments.chromatic.perturbation import ELEMENTS, MOVEMENT, Movement, choose, solve, solve_perturbation
-from experiments.chromatic.settings import Config
+from experiments.chromatic.perturbation import ELEMENTS, MOVEMENT, RenderedMovement, choose, solve, solve_perturbation
+from experiments.chromatic.settings import ChromaticConfig
 from experiments.chromatic.stars import STARS, stars_of, stellar_shift
 from experiments.harness.drawings import curves
 from experiments.harness.plotting import INK, PALETTE, new_figure
@@ -56,27 +56,27 @@ from render.sensor_file.filters import interference_filters, open_band
 from render.sensor_file.instrument import Instrument, build_instrument
 
 PIXELS_ALARM = 1e-4
-"""Of normal deviates; of 36 points, whose scatter is the standard deviation, it is Student's law and 1 in 1000."""
+"""False alarm of normal deviates. The uncertainty is the scatter of 36 points: by Student's law it is 1 in 1000."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Lens:
-    """One lens on the bench: frames and ray trace; p positions, j points, b filters."""
+class LensTest:
+    """A lens on the bench: frames and ray trace; p positions, j points, b filters."""
 
     label: str
     bench: Bench
     instrument: Instrument
     frames: ChromaticMeasurement
-    traced_px: FloatArray  # (p, j, b, 2) Ray trace alone, which knows neither frames nor rendering
+    traced_px: FloatArray  # (p, j, b, 2) By the NumPy ray trace, independent of frames and renderer
 
     @property
     def method(self) -> str:
         """The main centroider."""
         return self.bench.methods[0]
 
-    def shift_px(self, place_px: FloatArray) -> FloatArray:
-        """Shifts (pair, p, j, 2) of places (p, j, b, 2), eq. 15."""
-        return np.stack(list(shifts(place_px, self.bench.pairs).values()))
+    def shift_px(self, position_px: FloatArray) -> FloatArray:
+        """Shifts (pair, p, j, 2) of positions (p, j, b, 2), eq. 15."""
+        return np.stack(list(shifts(position_px, self.bench.pairs).values()))
 
     @property
     def measured_px(self) -> tuple[FloatArray, FloatArray]:
@@ -84,64 +84,57 @@ class Lens:
         sigma = self.frames.shift_sigma(self.bench.pairs, self.method)
         return self.shift_px(self.frames.mean_px[self.method]), np.stack(list(sigma.values()))
 
+    @property
+    def table1_px(self) -> tuple[FloatArray, FloatArray]:
+        """Entries (pair, 2) of Table 1 (eq. 16), and their standard deviations."""
+        sigma = self.frames.table1_sigma(self.bench.pairs, self.method)
+        return table1(self.measured_px[0]), np.stack(list(sigma.values()))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Entries:
-    """ACC18's Table 1 (eq. 16: signed mean of the shifts, halved) of one lens."""
+class Table1Entries:
+    """ACC18's Table 1 (eq. 16: signed mean of the shifts, halved) of a lens."""
 
     label: str
-    table1_px: Any = col(
-        "Frames",
-        "px",
-        dims="pair axis",
-    )
-    predicted_table1_px: FloatArray = col("Ray trace", "px", ".5f", "pair axis")
+    measured_px: Any = col("Frames", "px", dims="pair axis")
+    predicted_px: FloatArray = col("Ray trace", "px", ".5f", "pair axis")
     # First moments of the noiseless pixels; their standard deviation is the scatter of the points by pixel phase
-    pixels_table1_px: Any = col(
-        "Noiseless pixels",
-        "px",
-        dims="pair axis",
-        shown=False,
-    )
+    noiseless_pixels_px: Any = col("Noiseless pixels", "px", dims="pair axis", shown=False)
     published_px: FloatArray | None = col("Published", "px", ".4f", "pair axis", default=None)
     rms_shift_px: FloatArray = col("RMS shift of a point", "px", ".3f", "pair axis")
-    table1_n: int = col("Frames per entry", shown=False)
+    frames_per_entry: int = col("Frames per entry", shown=False)
     lsfe_arcsec: Any = col("Chromatic LSFE, 3 σ", "arcsec", dims="axis", shown=False)
     published_lsfe_arcsec: Sequence[float] | None = col("Published", "arcsec", dims="axis", shown=False, default=None)
-    mean_squared_pull: Any = col(
-        "Squared deviation of a shift over its variance",
-        shown=False,
-    )
+    mean_squared_pull: Any = col("Squared deviation of a shift over its variance", shown=False)
 
 
-def entries(lens: Lens, *, published: bool) -> Entries:
+def table1_entries(lens: LensTest, *, published: bool) -> Table1Entries:
     """Table 1, its angle in the document, and the scatter of single shifts."""
     frames, pairs, names = lens.frames, lens.bench.pairs, lens.bench.pair_names
     shift, sigma = lens.measured_px
     traced, pixels = lens.shift_px(lens.traced_px), lens.shift_px(frames.pixels_px)
     phases = (pixels - traced).reshape(len(pairs), -1, 2)
-    entry, error = table1(shift), np.stack(list(frames.table1_sigma(pairs, lens.method).values()))
+    (entry, error), point_count = lens.table1_px, phases.shape[1]
     count = lens.bench.frames * shift[0, ..., 0].size
     term = chromatic_error(entry, error, lens.instrument.pixel_arcsec, count)
     pulls = (shift - traced) / sigma
-    # pairs share the reference band: correlation 1/2, so 1/4 between their squares
-    freedom = independent_shifts(pulls.size, pulls.shape[2], frames.common_mean_px, sigma) / (
-        1.0 + (len(pairs) - 1) / 4.0
-    )
-    known: dict[str, Any] = {}
+    # pairs have the reference band in common: correlation 1/2 of their shifts, 1/4 of the squares
+    correlated = 1.0 + (len(pairs) - 1) / 4.0
+    degrees = independent_shifts(pulls.size, pulls.shape[2], frames.common_mean_px, sigma) / correlated
+    document: dict[str, Any] = {}
     if published:
         values = [ACC18_TABLE1_PX.get(name, (np.nan, np.nan)) for name in names]
-        known = {"published_px": np.array(values), "published_lsfe_arcsec": ACC18_ARCSEC["LSFE-S"]}
-    return Entries(
+        document = {"published_px": np.array(values), "published_lsfe_arcsec": ACC18_ARCSEC["LSFE-S"]}
+    return Table1Entries(
         label=lens.label,
-        table1_px=measured(entry, error),
-        predicted_table1_px=table1(traced),
-        pixels_table1_px=measured(table1(pixels), phases.std(1, ddof=1) / (2.0 * np.sqrt(phases.shape[1]))),
-        rms_shift_px=np.stack([rms_shift_px(one) for one in shift]),
-        table1_n=count,
+        measured_px=measured(entry, error),
+        predicted_px=table1(traced),
+        noiseless_pixels_px=measured(table1(pixels), phases.std(1, ddof=1) / (2.0 * np.sqrt(point_count))),
+        rms_shift_px=np.stack([rms_shift_px(pair_shift) for pair_shift in shift]),
+        frames_per_entry=count,
         lsfe_arcsec=measured(term.arcsec, term.uncertainty_arcsec, term.n, "arcsec"),
-        mean_squared_pull=measured(float((pulls**2).mean()), np.sqrt(2.0 / freedom)),
-        **known,
+        mean_squared_pull=measured(float((pulls**2).mean()), np.sqrt(2.0 / degrees)),
+        **document,
     )
 
 
@@ -154,12 +147,12 @@ def field_map(o: Outcome, pairs: Sequence[str] = ()) -> Figure:
     )
     for row, pair, colour in zip(grid, shown, PALETTE, strict=False):
         for panel, (lens, label) in zip(row, lenses.items(), strict=True):
-            place = o.values("nominal_px", lens=lens)
-            found, traced = (o.values(f"{kind}_shift_px", lens=lens, pair=pair) for kind in ("measured", "predicted"))
-            longest = float(np.hypot(*found.T).max())
+            nominal = o.values("nominal_px", lens=lens)
+            shift, traced = (o.values(f"{kind}_shift_px", lens=lens, pair=pair) for kind in ("measured", "predicted"))
+            longest = float(np.hypot(*shift.T).max())
             style = {"angles": "xy", "scale_units": "xy", "scale": longest / (1.2 * o.config.target.pitch_px)}
-            panel.quiver(*place.T, *traced.T, color="#c3c8ce", width=0.009, headwidth=3, **style)
-            panel.quiver(*place.T, *found.T, color=colour, width=0.0035, headwidth=4, **style)
+            panel.quiver(*nominal.T, *traced.T, color="#c3c8ce", width=0.009, headwidth=3, **style)
+            panel.quiver(*nominal.T, *shift.T, color=colour, width=0.0035, headwidth=4, **style)
             key, middle = float(f"{longest:.0e}"), (0.58 * camera.width_px, 0.5 * camera.height_px)
             panel.quiver(*middle, key, 0, color=INK, width=0.0045, **style)
             panel.text(middle[0], middle[1] - 0.06 * camera.height_px, f"{key:g} px", fontsize=8)
@@ -184,118 +177,113 @@ def detector_frame(panel: Any, instrument: Instrument) -> None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Points:
+class PointShifts:
     """Shift of every target point (eq. 15), position after position."""
 
     nominal_px: FloatArray = col("Nominal", "px", dims="point axis")
     measured_shift_px: Any = col("Frames", "px", dims="pair point axis")
-    pixels_shift_px: FloatArray = col("Noiseless pixels", "px", dims="pair point axis")
+    noiseless_pixels_shift_px: FloatArray = col("Noiseless pixels", "px", dims="pair point axis")
     predicted_shift_px: FloatArray = col("Ray trace", "px", dims="pair point axis")
 
 
-def points(lens: Lens) -> Points:
+def points(lens: LensTest) -> PointShifts:
     """Frames, noiseless pixels and ray trace at the points of all positions."""
     shift, sigma = lens.measured_px
-    pixels, traced = (lens.shift_px(place) for place in (lens.frames.pixels_px, lens.traced_px))
+    pixels, traced = (lens.shift_px(position) for position in (lens.frames.pixels_px, lens.traced_px))
     flat = (len(shift), -1, 2)
-    return Points(
+    return PointShifts(
         nominal_px=lens.frames.nominal_px.reshape(-1, 2),
         measured_shift_px=measured(shift.reshape(flat), sigma.reshape(flat)),
-        pixels_shift_px=pixels.reshape(flat),
+        noiseless_pixels_shift_px=pixels.reshape(flat),
         predicted_shift_px=traced.reshape(flat),
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Calibration:
-    """RMS length of the shift of a point, as found and when the camera model has parameters of its own for a band."""
+class CalibrationResiduals:
+    """RMS length of the shift of a point, as measured and with parameters of the camera model per band."""
 
     residual_px: FloatArray = col("RMS", "px", ".3f", "pair step")
-    traced_residual_px: FloatArray = col(
-        "Ray trace",
-        "px",
-        ".3f",
-        "pair step",
-        shown=False,
-    )
+    traced_residual_px: FloatArray = col("Ray trace", "px", ".3f", "pair step", shown=False)
 
 
-def calibration(lens: Lens) -> Calibration:
+def calibration(lens: LensTest) -> CalibrationResiduals:
     """A principal point and a focal length per band, each alone and together."""
-    place = lens.frames.nominal_px - lens.instrument.camera.centre_px
-    found, traced = (
-        np.array([[np.hypot(*rms_shift_px(one)) for one in after_calibration(pair, place).values()] for pair in shift])
-        for shift in (lens.measured_px[0], lens.shift_px(lens.traced_px))
-    )
-    return Calibration(residual_px=found, traced_residual_px=traced)
+    from_centre = lens.frames.nominal_px - lens.instrument.camera.centre_px
+
+    def rms(shift_px: FloatArray) -> FloatArray:
+        residuals = [after_calibration(pair_shift, from_centre).values() for pair_shift in shift_px]
+        return np.array([[np.hypot(*rms_shift_px(residual)) for residual in steps] for steps in residuals])
+
+    traced_px = lens.shift_px(lens.traced_px)
+    return CalibrationResiduals(residual_px=rms(lens.measured_px[0]), traced_residual_px=rms(traced_px))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Centroiders:
+class CentroiderComparison:
     """Results of every centroider on the same frames; NaN where it does not converge for some point."""
 
     noise_px: FloatArray = col("Noise", "px", ".4f", "method")
-    error_px: FloatArray = col("RMS error", "px", ".4f", "method")
-    along_px: FloatArray = col("Mean shift", "px", ".4f", "method pair")  # Along the wanted axis
+    rms_error_px: FloatArray = col("RMS error", "px", ".4f", "method")
+    mean_shift_px: FloatArray = col("Mean shift", "px", ".4f", "method pair")  # Along `DecentreConfig.axis`
     table1_px: FloatArray = col("Table 1", "px", ".4f", "method pair axis", shown=False)
 
 
-def centroiders(lens: Lens, axis: int) -> Centroiders:
+def centroiders(lens: LensTest, axis: int) -> CentroiderComparison:
     """Noise of a frame, mean centroid against the mean of all light, Table 1."""
     frames, methods = lens.frames, lens.bench.methods
     entry = np.array([table1(lens.shift_px(frames.mean_px[m])) for m in methods])
-    return Centroiders(
+    return CentroiderComparison(
         noise_px=np.array([np.sqrt((frames.sigma_px[m] ** 2).mean()) for m in methods]),
-        error_px=np.array([np.sqrt(((frames.mean_px[m] - frames.photon_px) ** 2).mean()) for m in methods]),
-        along_px=entry[..., axis],
+        rms_error_px=np.array([np.sqrt(((frames.mean_px[m] - frames.photon_px) ** 2).mean()) for m in methods]),
+        mean_shift_px=entry[..., axis],
         table1_px=entry,
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BenchRecord:
+class BenchConditions:
     """Instrument and light of the measurement."""
 
     instrument: Instrument
     frame: Frame  # Whole detector, first position, reference filter
     signal_e: float = col("Signal", "e-", ".0f")
     signal_star: str = col("Star")
-    star_e: float = col("Star of V = 7.5", "e-", ".0f")
+    v7_5_star_e: float = col("Star of V = 7.5", "e-", ".0f")
     pixel_arcsec: float = col("Angle of a pixel", "arcsec", ".2f")
     rms_spot_um: FloatArray = col("RMS spot radius", "um", ".1f", "band")
     reference_k: float = col("Reference star", "K", ".0f")
     temperature_k: FloatArray = col("Temperature", "K", ".0f", "temperature_k")
 
 
-def axes(config: Config) -> Quantities:
+def axes(config: ChromaticConfig) -> Quantities:
     """Dimensions that all sections share."""
-    q, wheel = Quantities(), config.filters
-    pairs = band_pairs(wheel.centres_nm, wheel.centres_nm.index(wheel.reference_nm))
+    q, centres_nm = Quantities(), config.filters.centres_nm
+    pairs = band_pairs(centres_nm, centres_nm.index(config.filters.reference_nm))
     q.axis("pair", [name for name, _, _ in pairs], "Bands", unit="nm")
     q.axis("axis", ["x", "y"], "Axis", names=["X", "Y"])
     labels = MethodLabels(own="PSF of each filter", reference="PSF of the reference filter")
     q.axis("method", list(config.methods), "Centroider", names=labels)
     steps = [step.replace(" ", "_") for step in CALIBRATIONS]
     q.axis("step", steps, "Calibration", names=["as measured", *list(CALIBRATIONS)[1:]])
-    q.axis("band", [f"{centre:g}" for centre in wheel.centres_nm], "Band", unit="nm")
+    q.axis("band", [f"{centre:g}" for centre in centres_nm], "Band", unit="nm")
     q.axis("point", np.arange(len(CORNERS) * config.target.rows * config.target.columns) + 1, "Target point")
     q.axis("temperature_k", config.stars.temperatures_k, "Effective temperature", unit="K", format=".0f")
     return q
 
 
-def _lens_axis(q: Quantities, lenses: Sequence[Entries]) -> None:
-    q.axis("lens", ["centred", "moved"], "Lens", names=[one.label for one in lenses])
+def _lens_axis(q: Quantities, lenses: Sequence[Table1Entries]) -> None:
+    q.axis("lens", ["centred", "moved"], "Lens", names=[lens.label for lens in lenses])
 
 
-def laboratory(config: Config, instrument: Instrument, signal_e: float) -> tuple[Bench, FloatArray]:
+def laboratory(config: ChromaticConfig, instrument: Instrument, signal_e: float) -> tuple[Bench, FloatArray]:
     """Bench and target points; all checks that need no rendering."""
-    wheel = config.filters
-    filters = interference_filters(wheel)
+    filters = interference_filters(config.filters)
     bench = Bench(
         target=config.target,
         lamp=Blackbody(temperature_k=config.lamp_k),
         filters=filters,
-        reference=wheel.centres_nm.index(wheel.reference_nm),
+        reference=config.filters.centres_nm.index(config.filters.reference_nm),
         signal_e=signal_e,
         frames=config.frames,
         dark_frames=config.dark_frames,
@@ -304,7 +292,7 @@ def laboratory(config: Config, instrument: Instrument, signal_e: float) -> tuple
         collimator=build_collimator(config.collimator, filters),
     )
     instrument.camera.lens.check_glass()
-    chief_ray(instrument.camera.focused_lens, 1.0)  # the reference of the test is a centred lens; others are refused
+    chief_ray(instrument.camera.focused_lens, 1.0)  # refuses a lens that is not centred
     for band in bench.filters:
         instrument.check_band("filters.centres_nm", band)
     if config.pair not in bench.pair_names:
@@ -316,7 +304,7 @@ def laboratory(config: Config, instrument: Instrument, signal_e: float) -> tuple
     return bench, direction
 
 
-def run(config: Config, *, progress: Progress) -> dict[str, Any]:
+def run(config: ChromaticConfig, *, progress: Progress) -> dict[str, Any]:
     """Search the movement; render, read out and reduce both lenses; trace the expected shifts."""
     instrument = build_instrument(config.instrument)
     band = open_band(config.passband, instrument, "full pass band")
@@ -330,30 +318,27 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     moved = build_instrument(config.instrument, chosen.apply(instrument.camera.lens, axis))
     streams = Streams(config.seed).child("chromatic")
     lenses, stars = [], []
-    for name, label, stage_label, one in (
+    for name, label, stage_label, camera in (
         ("centred", "centred", "centred lens", instrument),
         ("moved", chosen.label, "moved element", moved),
     ):
         with progress.stage(stage_label, total=len(CORNERS)) as stage:
-            frames = measure_chromatic(bench, one, streams.child(name), advance=stage.advance)
-        traced = bundle_prediction(bench, one, frames.direction)
-        lenses.append(Lens(label=label, bench=bench, instrument=one, frames=frames, traced_px=traced))
-    ideal = replace(bench, collimator=None)  # stars have none
+            frames = measure_chromatic(bench, camera, streams.child(name), advance=stage.advance)
+        traced = bundle_prediction(bench, camera, frames.direction)
+        lenses.append(LensTest(label=label, bench=bench, instrument=camera, frames=frames, traced_px=traced))
+    sky_bench = replace(bench, collimator=None)
     with progress.stage("stars"):
-        for one in (instrument, moved):
-            points_at, shift = stellar_shift(config.stars, band, one)
-            places = bundle_prediction(ideal, one, points_at[None])
-            stars.append(stars_of(shift, {name: by[0] for name, by in shifts(places, bench.pairs).items()}))
-    example = lenses[0].frames.example
-    table = [entries(lens, published=is_published_sensor(config)) for lens in lenses]
-    seen = lenses[0].shift_px(lenses[0].frames.mean_px[bench.methods[0]])
-    sigma = np.stack(list(lenses[0].frames.table1_sigma(bench.pairs, bench.methods[0]).values()))
+        for camera in (instrument, moved):
+            field_direction, star_shift = stellar_shift(config.stars, band, camera)
+            filter_px = bundle_prediction(sky_bench, camera, field_direction[None])[0]
+            stars.append(stars_of(star_shift, list(shifts(filter_px, bench.pairs).values())))
+    example, published = lenses[0].frames.example, is_published_sensor(config)
     image_px = float(np.hypot(*chosen.boresight_px))
     return {
-        "table1": table,
+        "table1": [table1_entries(lens, published=published) for lens in lenses],
         "points": [points(lens) for lens in lenses],
         "calibration": [calibration(lens) for lens in lenses],
-        "movement": Movement(
+        "movement": RenderedMovement(
             element=chosen.element,
             kind=chosen.kind,
             amount=chosen.amount,
@@ -365,15 +350,17 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
         "elements": solutions,
         "stars": stars,
         "centroiders": [centroiders(lens, axis) for lens in lenses],
-        "collimator": collimator_shift(bench, instrument, direction, table1(seen), sigma, lenses[0].frames.rms_spot_um),
-        "bench": BenchRecord(
+        "collimator": collimator_shift(
+            bench, instrument, direction, *lenses[0].table1_px, lenses[0].frames.rms_spot_um
+        ),
+        "bench": BenchConditions(
             instrument=instrument,
             frame=WindowReader(instrument, streams.child("centred", "example")).frame(
                 example, example.band[bench.reference]
             ),
             signal_e=signal.signal_e,
             signal_star=signal.star,
-            star_e=electrons_of_star(band, instrument, magnitude=7.5, temperature_k=config.stars.reference_k),
+            v7_5_star_e=electrons_of_star(band, instrument, magnitude=7.5, temperature_k=config.stars.reference_k),
             pixel_arcsec=instrument.pixel_arcsec,
             rms_spot_um=lenses[0].frames.rms_spot_um,
             reference_k=config.stars.reference_k,
@@ -389,7 +376,7 @@ def files(result: Mapping[str, Any], folder: Path) -> None:
 
 SECTIONS = {
     "table1": Section(
-        record=Entries,
+        record=Table1Entries,
         dim="lens",
         axes=_lens_axis,
         rows="lens pair axis",
@@ -399,8 +386,8 @@ SECTIONS = {
         figures={"field_map": field_map},
         verdicts=[
             agree(
-                "table1_px",
-                "predicted_table1_px",
+                "measured_px",
+                "predicted_px",
                 title="ACC18 Table 1, frames against ray trace, both lenses",
                 advice="the centroider does not weight all light of comatic spots equally, or window_px truncates them",
             ),
@@ -413,8 +400,8 @@ SECTIONS = {
                 advice="noise, fixed pattern or PSF differ from the prediction's",
             ),
             agree(
-                "pixels_table1_px",
-                "predicted_table1_px",
+                "noiseless_pixels_px",
+                "predicted_px",
                 false_alarm=PIXELS_ALARM,
                 title="ACC18 Table 1, first moments of the noiseless pixels against ray trace, both lenses",
                 advice="window_px truncates comatic spots, or neighbouring points overlap it (target.pitch_px)",
@@ -422,7 +409,7 @@ SECTIONS = {
         ],
     ),
     "points": Section(
-        record=Points,
+        record=PointShifts,
         dim="lens",
         rows="lens pair point",
         across="axis",
@@ -449,7 +436,7 @@ SECTIONS = {
         ],
     ),
     "calibration": Section(
-        record=Calibration,
+        record=CalibrationResiduals,
         dim="lens",
         rows="lens pair",
         across="step",
@@ -460,7 +447,7 @@ SECTIONS = {
     "elements": ELEMENTS,
     "stars": STARS,
     "centroiders": Section(
-        record=Centroiders,
+        record=CentroiderComparison,
         dim="lens",
         rows="lens method",
         across="pair",
@@ -471,6 +458,6 @@ SECTIONS = {
     ),
     "collimator": COLLIMATOR,
     "bench": Section(
-        record=BenchRecord,
+        record=BenchConditions,
     ),
 }

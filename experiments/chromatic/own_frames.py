@@ -23,8 +23,8 @@ from optics.errors import ConfigError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Pair:
-    """Difference between two filters, first centroider."""
+class PairShift:
+    """Shift between two filters, first centroider."""
 
     pair_name: str = col("Pair")
     table1_px: Sequence[Measured] = col("Mean shift, halved", "px", dims="axis")
@@ -32,43 +32,43 @@ class Pair:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Residual:
-    """RMS length of the shifts of a pair, as found and with camera parameters of its own for the filter."""
+class PairResidual:
+    """RMS length of the shifts of a pair, as measured and with parameters of the camera model per filter."""
 
     residual_px: FloatArray = col("RMS length", "px", ".4f", "step")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Constant:
+class UniformShift:
     """Uniform part of a pair's shift, first centroider: by the lens, and by the filters."""
 
     constant_px: Sequence[Measured] = col("Uniform part", "px", dims="axis")
     lens_px: Sequence[Measured] = col("by the lens", "px", dims="axis")
     wedge_px: Sequence[Measured] = col("by the filters", "px", dims="axis")
-    told_text: str = col("Separated")
+    separated_text: str = col("Separated")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Exchange:
+class FilterExchange:
     """Exchanged files of filters."""
 
-    said: Sequence[str]  # In words
+    descriptions: Sequence[str]
     exchanged: int = col("Exchanged filters")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Centroider:
+class CentroiderTable1:
     """Results of a centroider on the same frames."""
 
-    method_table1_px: FloatArray = col("Mean shift, halved", "px", ".4f", "pair axis")
+    table1_px: FloatArray = col("Mean shift, halved", "px", ".4f", "pair axis")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Points:
+class FieldShifts:
     """Points of all places, first centroider."""
 
     filters_nm: Sequence[float] = col("Filters", "nm", dims="filter", shown=False)
-    place_px: FloatArray = col("Place", "px", ".4f", "point axis")
+    position_px: FloatArray = col("Place", "px", ".4f", "point axis")
     shift_px: Sequence[Sequence[Sequence[Measured]]] = col("Shift", "px", ".4f", "pair point axis")
 
 
@@ -76,50 +76,49 @@ class Points:
 class FilterFrames:
     """Positions of j points at p places behind b filters."""
 
-    # Central wavelengths, rising; ``reference`` indexes the one the others are compared with
-    filters_nm: tuple[float, ...]
-    reference: int  # See ``filters_nm``
+    filters_nm: tuple[float, ...]  # Central wavelengths, increasing
+    reference: int  # Index of the filter with which the others are compared
     grid: tuple[tuple[SeriesFrames, ...], ...]  # Place by place, filter by filter
 
     @property
     def pairs(self) -> list[tuple[str, int, int]]:
-        """Differences between the filters (`experiments.laboratory.bench.point_bench.band_pairs`)."""
+        """Differences between the filters (`band_pairs`)."""
         return band_pairs(self.filters_nm, self.reference)
 
     def mean_px(self, method: str) -> FloatArray:
         """Mean centroids (p, j, b, 2)."""
-        return np.stack([np.stack([one.points.mean_px(method) for one in row], axis=1) for row in self.grid])
+        return np.stack([np.stack([series.points.mean_px(method) for series in row], axis=1) for row in self.grid])
 
     def shift_px(self, method: str) -> dict[str, FloatArray]:
         """Shifts (p, j, 2) of every pair (eq. 15)."""
         return shifts(self.mean_px(method), self.pairs)
 
     def shift_sigma_px(self, method: str) -> dict[str, FloatArray]:
-        """Standard deviations (p, j, 2) of the shifts by the noise model; what both filters share cancels."""
-        found = {}
+        """Standard deviations (p, j, 2) of the shifts by the noise model; a pattern common to both filters cancels."""
+        sigma_px = {}
         for name, high, low in self.pairs:
             rows = []
             for row in self.grid:
                 temporal = sum(row[b].predicted_px(method) ** 2 / row[b].frames for b in (high, low))
                 fixed = ((row[high].pattern_px - row[low].pattern_px) ** 2).sum((2, 3))
                 rows.append(np.sqrt(temporal + fixed))
-            found[name] = np.stack(rows)
-        return found
+            sigma_px[name] = np.stack(rows)
+        return sigma_px
 
 
 def filter_frames(folder: FrameFolder, methods: Sequence[str], config: Any) -> FilterFrames:
-    """Series by place and filter; every place must be seen through every filter once."""
-    found: dict[tuple[str, float], SeriesFrames] = {}
-    for one in folder.series:
-        key = (one.settings.place, float(one.settings.filter_nm or 0.0))
-        if key in found:
+    """Series by place and filter; every place needs one series behind every filter."""
+    by_filter: dict[tuple[str, float], SeriesFrames] = {}
+    for series in folder.series:
+        key = (series.settings.place, float(series.settings.filter_nm or 0.0))
+        if key in by_filter:
             raise ConfigError(
-                f"{SETTINGS_FILE}: {found[key].name} and {one.name} both have filter {key[1]:g} nm and place "
+                f"{SETTINGS_FILE}: {by_filter[key].name} and {series.name} both have filter {key[1]:g} nm and place "
                 f"{key[0]!r}; a single series per filter and place is needed, with all its files"
             )
-        found[key] = reduce_series(folder, one, methods)
-    places, filters = list(dict.fromkeys(place for place, _ in found)), sorted({nm for _, nm in found})
-    missing = [(place, nm) for place in places for nm in filters if (place, nm) not in found]
+        by_filter[key] = reduce_series(folder, series, methods)
+    places, filters = list(dict.fromkeys(place for place, _ in by_filter)), sorted({nm for _, nm in by_filter})
+    missing = [(place, nm) for place in places for nm in filters if (place, nm) not in by_filter]
     if missing:
         raise ConfigError(
             f"{SETTINGS_FILE}: no series of {missing[0][1]:g} nm at place {missing[0][0]!r}; every place must be seen "
@@ -138,70 +137,78 @@ def filter_frames(folder: FrameFolder, methods: Sequence[str], config: Any) -> F
     return FilterFrames(
         filters_nm=tuple(filters),
         reference=filters.index(reference),
-        grid=tuple(tuple(found[place, nm] for nm in filters) for place in places),
+        grid=tuple(tuple(by_filter[place, nm] for nm in filters) for place in places),
     )
 
 
 def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> Reduced:
     """Chromatic error of a folder; uncertainties by the stated noise."""
-    seen, first, scale = filter_frames(folder, methods, config), methods[0], folder.settings.pixel_arcsec
-    names = [name for name, _, _ in seen.pairs]
-    shift, sigma = seen.shift_px(first), seen.shift_sigma_px(first)
-    place = seen.mean_px(first)[:, :, seen.reference]
+    frames, first, scale = filter_frames(folder, methods, config), methods[0], folder.settings.pixel_arcsec
+    names = [name for name, _, _ in frames.pairs]
+    shift, sigma = frames.shift_px(first), frames.shift_sigma_px(first)
+    position_px = frames.mean_px(first)[:, :, frames.reference]
+    from_centre = position_px - folder.centre_px
     pairs, residuals, constants = [], [], []
-    angles = np.array([[one.settings.angle_deg for one in row] for row in seen.grid])
-    for name, high, low in seen.pairs:
+    angles = np.array([[series.settings.angle_deg for series in row] for row in frames.grid])
+    for name, high, low in frames.pairs:
         count = sigma[name][..., 0].size
         error = np.sqrt((sigma[name] ** 2).sum((0, 1))) / (2 * count)
         pairs.append(
-            Pair(
+            PairShift(
                 pair_name=name,
                 table1_px=measured(table1(shift[name]), error, n=count),
                 shift_arcsec=scale * shift[name].reshape(-1, 2),
             )
         )
-        of = separate_wedge(shift[name], sigma[name], place - folder.centre_px, angles[:, high], angles[:, low])
+        uniform = separate_wedge(shift[name], sigma[name], from_centre, angles[:, high], angles[:, low])
         constants.append(
-            Constant(
-                constant_px=measured(of.constant_px, of.constant_sigma_px),
-                lens_px=measured(of.lens_px, of.lens_sigma_px),
-                wedge_px=measured(of.wedge_px, of.wedge_sigma_px),
-                told_text=_told(bool(np.isfinite(of.wedge_px).all()), bool(np.ptp(angles) > 0)),
+            UniformShift(
+                constant_px=measured(uniform.constant_px, uniform.constant_sigma_px),
+                lens_px=measured(uniform.lens_px, uniform.lens_sigma_px),
+                wedge_px=measured(uniform.wedge_px, uniform.wedge_sigma_px),
+                separated_text=_separated(bool(np.isfinite(uniform.wedge_px).all()), bool(np.ptp(angles) > 0)),
             )
         )
-        left = after_calibration(shift[name], place - folder.centre_px)
-        residuals.append(Residual(residual_px=np.array([np.hypot(*rms_shift_px(left[step])) for step in CALIBRATIONS])))
-    swaps = exchange_text(seen)
-    every = [seen.shift_px(m) for m in methods]
-    whole, spread = (np.stack([one[name].reshape(-1, 2) for name in names]) for one in (shift, sigma))
-    return [one for row in seen.grid for one in row], {
+        steps = after_calibration(shift[name], from_centre).values()
+        residuals.append(PairResidual(residual_px=np.array([np.hypot(*rms_shift_px(step)) for step in steps])))
+    exchanged = exchange_text(frames)
+    by_method = [frames.shift_px(method) for method in methods]
+    point_shift, point_sigma = (
+        np.stack([by_pair[name].reshape(-1, 2) for name in names]) for by_pair in (shift, sigma)
+    )
+    return [series for row in frames.grid for series in row], {
         "pairs": pairs,
         "constants": constants,
-        "exchange": Exchange(said=swaps, exchanged=len(swaps)) if len(seen.grid) > 1 else None,
+        "exchange": FilterExchange(descriptions=exchanged, exchanged=len(exchanged)) if len(frames.grid) > 1 else None,
         "calibration": residuals,
-        "centroiders": [Centroider(method_table1_px=np.array([table1(of[name]) for name in names])) for of in every],
-        "points": Points(filters_nm=seen.filters_nm, place_px=place.reshape(-1, 2), shift_px=measured(whole, spread)),
+        "centroiders": [
+            CentroiderTable1(table1_px=np.array([table1(by_pair[name]) for name in names])) for by_pair in by_method
+        ],
+        "points": FieldShifts(
+            filters_nm=frames.filters_nm,
+            position_px=position_px.reshape(-1, 2),
+            shift_px=measured(point_shift, point_sigma),
+        ),
     }
 
 
-def exchange_text(seen: FilterFrames) -> list[str]:
+def exchange_text(frames: FilterFrames) -> list[str]:
     """Exchanged series by place and filter, in words."""
-    rate = np.array([[one.light_per_s for one in row] for row in seen.grid])
+    rate = np.array([[series.light_per_s for series in row] for row in frames.grid])
+    radius_px = np.array([[spot_radius_px(series.mean_e) for series in row] for row in frames.grid])
     texts = []
-    for place, one, other in exchanged_filters(
-        rate, np.array([[spot_radius_px(s.mean_e) for s in r] for r in seen.grid])
-    ):
-        ratios = rate[:, other] / rate[:, one]
-        low, high = f"{seen.filters_nm[one]:g}", f"{seen.filters_nm[other]:g}"
+    for place, first, second in exchanged_filters(rate, radius_px):
+        ratios = rate[:, second] / rate[:, first]
+        low, high = f"{frames.filters_nm[first]:g}", f"{frames.filters_nm[second]:g}"
         texts.append(
-            f"the files of {low} and {high} nm at place {seen.grid[place][one].settings.place!r} (light of {high} over "
-            f"{low} nm is {ratios[place]:.3g} there, {np.delete(ratios, place).mean():.3g} elsewhere)"
+            f"the files of {low} and {high} nm at place {frames.grid[place][first].settings.place!r} (light of {high} "
+            f"over {low} nm is {ratios[place]:.3g} there, {np.delete(ratios, place).mean():.3g} elsewhere)"
         )
     return [" or ".join(texts)] if texts else []
 
 
-def _told(apart: bool, turned: bool) -> str:
-    if apart:
+def _separated(separated: bool, turned: bool) -> str:
+    if separated:
         return "yes"
     if turned:
         return "no: turn every filter, the reference too, or the camera"
@@ -209,11 +216,11 @@ def _told(apart: bool, turned: bool) -> str:
 
 
 def _exchange_advice(outcome: Outcome) -> str:
-    said = "; ".join(outcome.result["exchange"].said)
-    return f"{said} are exchanged relative to the other places; correct filter_nm"
+    descriptions = "; ".join(outcome.result["exchange"].descriptions)
+    return f"{descriptions} are exchanged relative to the other places; correct filter_nm"
 
 
-def _axes(q: Quantities, pairs: Sequence[Pair]) -> None:
+def _axes(q: Quantities, pairs: Sequence[PairShift]) -> None:
     q.axis("step", list(CALIBRATIONS), "Calibration of the band")
     q.axis("point", np.arange(len(pairs[0].shift_arcsec)) + 1, "Point")
 
@@ -224,7 +231,7 @@ own_frames = FramesTest(
     reduce=reduce,
     sections={
         "pairs": Section(
-            record=Pair,
+            record=PairShift,
             dim="pair",
             along="pair_name",
             axes=_axes,
@@ -234,10 +241,10 @@ own_frames = FramesTest(
             caption="Mean shift between filters, halved (ACC18 Table 1, eq. 16).",
             note="One standard deviation, by the stated noise; motion of the target between two series is "
             "not included.",
-            figures={"shifts": arrows("place_px", "shift_arcsec", panels="pair", frame="frame_size_px")},
+            figures={"shifts": arrows("position_px", "shift_arcsec", panels="pair", frame="frame_size_px")},
         ),
         "constants": Section(
-            record=Constant,
+            record=UniformShift,
             dim="pair",
             table="wedge",
             rows="pair axis",
@@ -247,7 +254,7 @@ own_frames = FramesTest(
             "difference of the two wedges, at angle 0.",
         ),
         "exchange": Section(
-            record=Exchange,
+            record=FilterExchange,
             verdicts=[
                 below(
                     "exchanged",
@@ -258,20 +265,20 @@ own_frames = FramesTest(
             ],
         ),
         "calibration": Section(
-            record=Residual,
+            record=PairResidual,
             dim="pair",
             across="step",
             caption="RMS length of the shift of a point, as measured and with camera parameters for each band.",
             note="Includes centroid noise.",
         ),
         "centroiders": Section(
-            record=Centroider,
+            record=CentroiderTable1,
             dim="method",
             across="pair axis",
             caption="Results of every centroider for the same frames.",
         ),
-        "points": Section(record=Points, rows="pair point", across="axis", caption="All points."),
+        "points": Section(record=FieldShifts, rows="pair point", across="axis", caption="All points."),
     },
-    head={"Mean shift, halved": ("table1_px", {})},
+    head={"Mean shift, halved": ("pairs.table1_px", {})},
     captions={"shifts": "Shift of every point between two filters."},
 )

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.accuracy.chromatic import shifts, table1
 from calib.measure.targets.target_points import SEARCH_MARGIN_PX
-from experiments.chromatic.settings import Config
+from experiments.chromatic.settings import ChromaticConfig
 from experiments.harness.progress import Progress
 from experiments.harness.sections import Section, col
 from experiments.laboratory.bench.point_bench import Bench, point_field
@@ -25,18 +25,18 @@ from render.sensor_file.instrument import Instrument
 REFINED_PX = 3e-7
 """Largest difference from the wanted entry."""
 LIMIT = {"decentre": 3.0, "tilt": 3.0}
-"""Largest movement that is tried [mm, deg]."""
+"""Largest movement in the search [mm, deg]."""
 UNIT = {"decentre": 1e3, "tilt": 60.0}
 """um per mm, arcmin per deg: `Solution.amount` against the argument of `moved_element`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Solution:
+class ElementMovement:
     """The movement of one element that gives the wanted entry of Table 1; NaN where none up to the limit does."""
 
     element: str = col("Element")
     movement: str = col("Movement")
-    along_px: FloatArray = col("Mean shift", "px", ".4f", "pair")  # Along the wanted axis
+    mean_shift_px: FloatArray = col("Mean shift", "px", ".4f", "pair")  # Along `DecentreConfig.axis`
     image_px: float = col("Image shift", "px", "+.0f")
     kind: str = col("Kind", shown=False)
     amount: float = col("Amount", shown=False)
@@ -55,7 +55,7 @@ class Solution:
 
 
 ELEMENTS = Section(
-    record=Solution,
+    record=ElementMovement,
     dim="solution",
     table="elements",
     hidden="solution",
@@ -69,7 +69,7 @@ ELEMENTS = Section(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Movement:
+class RenderedMovement:
     """The movement that is rendered."""
 
     element: str = col("Element")
@@ -81,12 +81,12 @@ class Movement:
     image_arcsec: float = col("Image shift", "arcsec", ".0f")
 
 
-MOVEMENT = Section(record=Movement)
+MOVEMENT = Section(record=RenderedMovement)
 
 
 def solve(
-    config: Config, bench: Bench, instrument: Instrument, direction: FloatArray, progress: Progress
-) -> list[Solution]:
+    config: ChromaticConfig, bench: Bench, instrument: Instrument, direction: FloatArray, progress: Progress
+) -> list[ElementMovement]:
     """Every element, decentred and tilted; rays weigh alike, which changes a movement by some 1 %."""
     moves = [(element, kind) for kind in LIMIT for element in instrument.camera.lens.elements]
     return [
@@ -116,7 +116,7 @@ def solve_perturbation(
     axis: int,
     wanted_px: float,
     weighted: bool = True,
-) -> Solution:
+) -> ElementMovement:
     """Movement of one element for which the entry of one pair of bands reaches a value.
 
     ``weighted``: each ray counts by the transmission of its own path, which takes seconds in place of tenths.
@@ -126,63 +126,67 @@ def solve_perturbation(
 
     def means(amount: float, losses: PathLosses | None) -> FloatArray:
         moved = moved_element(lens, element, kind, axis, amount)
-        mean = bundle_means(replace(instrument.camera, lens=moved, losses=losses), stars)
-        return mean.reshape(*direction.shape[:2], len(bench.filters), 2)
+        mean_px = bundle_means(replace(instrument.camera, lens=moved, losses=losses), stars)
+        return mean_px.reshape(*direction.shape[:2], len(bench.filters), 2)
 
     def excess(amount: float, losses: PathLosses | None = None) -> float:
         return float(table1(shifts(means(amount, losses), bench.pairs)[pair])[axis]) - wanted_px
 
     weights = instrument.camera.losses if weighted else None
-    amount, rest = smallest_movement(excess, LIMIT[kind]), means(0.0, weights)
+    amount, centred_px = smallest_movement(excess, LIMIT[kind]), means(0.0, weights)
     if np.isfinite(amount) and weights is not None:
         amount = refined_movement(partial(excess, losses=weights), excess, amount, REFINED_PX)
-    there = means(amount, weights) if np.isfinite(amount) else np.full_like(rest, np.nan)
-    entries = np.array([table1(shift) for shift in shifts(there, bench.pairs).values()])
-    boresight = (there - rest)[:, :, bench.reference].mean((0, 1))
+    moved_px = means(amount, weights) if np.isfinite(amount) else np.full_like(centred_px, np.nan)
+    entries = np.array([table1(shift) for shift in shifts(moved_px, bench.pairs).values()])
+    boresight = (moved_px - centred_px)[:, :, bench.reference].mean((0, 1))
     shown = f"{amount * 1e3:+.0f} µm" if kind == "decentre" else f"{amount * 60.0:+.1f} arcmin"
     verb, shown = {"decentre": "decentred", "tilt": "tilted"}[kind], shown.replace("-", "\N{MINUS SIGN}")
-    return Solution(
+    return ElementMovement(
         element=element,
         kind=kind,
         movement=f"{verb} {shown}" if np.isfinite(amount) else f"{verb}: not within reach",
         amount=amount * UNIT[kind],
         unit={"decentre": "um", "tilt": "arcmin"}[kind],
         table1_px=entries,
-        along_px=entries[:, axis],
+        mean_shift_px=entries[:, axis],
         boresight_px=boresight,
         image_px=float(boresight[axis]),
     )
 
 
-def choose(config: Config, bench: Bench, lens: LensSystem, solutions: Sequence[Solution]) -> Solution:
+def choose(
+    config: ChromaticConfig, bench: Bench, lens: LensSystem, solutions: Sequence[ElementMovement]
+) -> ElementMovement:
     """The configured element, or the one whose movement of the wanted kind is smallest."""
     wanted = config.decentre
-    able = [
-        s
-        for s in solutions
-        if s.kind == wanted.kind and wanted.element in ("auto", s.element) and np.isfinite(s.amount)
+    candidates = [
+        solution
+        for solution in solutions
+        if solution.kind == wanted.kind
+        and wanted.element in ("auto", solution.element)
+        and np.isfinite(solution.amount)
     ]
-    if not able:
-        who = "any element" if wanted.element == "auto" else f"element {wanted.element}"
-        reach = "3 mm" if wanted.kind == "decentre" else "3 deg"
+    if not candidates:
+        subject = "any element" if wanted.element == "auto" else f"element {wanted.element}"
+        limit = "3 mm" if wanted.kind == "decentre" else "3 deg"
         if not lens.glasses:
             raise ConvergenceError(
                 f"lens {lens.name!r} has no glass, hence no chromatic shift: no movement gives a mean shift of "
                 f"decentre.wanted_px = {wanted.wanted_px:g} px; set decentre.wanted_px = 0"
             )
         raise ConvergenceError(
-            f"no {wanted.kind} of {who} up to {reach} gives a mean shift of decentre.wanted_px = "
+            f"no {wanted.kind} of {subject} up to {limit} gives a mean shift of decentre.wanted_px = "
             f"{wanted.wanted_px:g} px in {config.pair}, {wanted.axis}; lower it, or choose another "
             "decentre.element or decentre.kind"
         )
-    chosen = min(able, key=lambda s: abs(s.amount))
-    moves = float(np.abs(chosen.boresight_px).max())
-    room = min(float(SEARCH_MARGIN_PX), bench.target.edge_px - bench.window_px // 2 - 1)
-    if moves > room:
+    chosen = min(candidates, key=lambda solution: abs(solution.amount))
+    shift_px = float(np.abs(chosen.boresight_px).max())
+    margin_px = min(float(SEARCH_MARGIN_PX), bench.target.edge_px - bench.window_px // 2 - 1)
+    if shift_px > margin_px:
         raise DomainError(
             f"a mean shift of decentre.wanted_px = {wanted.wanted_px:g} px needs a {chosen.kind} of "
-            f"{chosen.element} by {chosen.amount:.0f} {chosen.unit}, which moves the whole image by {moves:.0f} px; "
-            f"at most {room:.0f} px can be followed (target.edge_px = {bench.target.edge_px:g} px, and "
+            f"{chosen.element} by {chosen.amount:.0f} {chosen.unit}, which moves the whole image by {shift_px:.0f} px; "
+            f"at most {margin_px:.0f} px can be followed (target.edge_px = {bench.target.edge_px:g} px, and "
             f"{SEARCH_MARGIN_PX} px in any case): lower decentre.wanted_px or name another decentre.element"
         )
     return chosen

@@ -34,7 +34,7 @@ class DecentreConfig(StrictModel):
     kind: Literal["decentre", "tilt"] = Field(default="decentre", description="movement in the rendered check")
 
 
-class Config(OwnFramesConfig, SignalConfig):
+class ChromaticConfig(OwnFramesConfig, SignalConfig):
     """The published run; ACC18 does not state signal, pass band of the stars and lens."""
 
     instrument: InstrumentConfig = InstrumentConfig()
@@ -77,14 +77,14 @@ class Config(OwnFramesConfig, SignalConfig):
         return f"{max(other, reference):g}-{min(other, reference):g}"
 
     @model_validator(mode="after")
-    def _windows(self) -> Config:
+    def _windows(self) -> ChromaticConfig:
         check_windows(self.window_px, self.target)
         return self
 
 
 rendered = Experiment(
     name="chromatic",
-    config=Config,
+    config=ChromaticConfig,
     run="experiment:run",
     sections="experiment:SECTIONS",
     axes="experiment:axes",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,63 +50,48 @@ def most_different_px(shift_px: FloatArray) -> float:
     return float(np.sqrt((difference**2).sum(-1).mean(-1)).max())
 
 
-def of_lenses(centred: str, moved: str = "") -> Mapping[str, str]:
-    """Places in ``summary.json`` for the centred lens and, where it has one, for that with the moved element."""
-    return {"centred": f"stellar.{centred}"} | ({"moved": f"stellar.moved_element.{moved}"} if moved else {})
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Stars:
+class StellarShifts:
     """Stars through one lens against the reference star, and ACC18's rule of one third."""
 
-    rms_px: FloatArray = col("RMS over the field", "px", ".4f", "temperature_k")
-    mean_size_px: FloatArray = col("Mean over the field", "px", ".4f", "temperature_k")
-    max_px: FloatArray = col("Largest in the field", "px", ".4f", "temperature_k")
-    mean_px: FloatArray = col("Mean shift", "px", ".4f", "temperature_k component")
-    most_different_px: float = col(
-        "RMS distance of the two most different stars",
-        "px",
-        ".4f",
-        shown=False,
-    )
+    rms_shift_px: FloatArray = col("RMS over the field", "px", ".4f", "temperature_k")
+    mean_shift_length_px: FloatArray = col("Mean over the field", "px", ".4f", "temperature_k")
+    max_shift_px: FloatArray = col("Largest in the field", "px", ".4f", "temperature_k")
+    mean_shift_px: FloatArray = col("Mean shift", "px", ".4f", "temperature_k component")
+    most_different_rms_px: float = col("RMS distance of the two most different stars", "px", ".4f", shown=False)
     # Half of the shift between filters at the same places, RMS over the field, of the pair that differs most
-    half_px: float = col("Half the RMS shift between filters", "px", ".4f", shown=False)
-    third_px: float = col(
-        "One third rule",
-        "px",
-        ".3f",
-        shown=False,
-    )
+    half_filter_shift_px: float = col("Half the RMS shift between filters", "px", ".4f", shown=False)
+    one_third_rule_px: float = col("One third rule", "px", ".3f", shown=False)
 
 
-def stars_of(shift_px: FloatArray, filter_shift_px: Mapping[str, FloatArray]) -> Stars:
-    """Statistics of shifts (t, g, 2) over the field, and of those (g, 2) between the filters at the same places."""
-    half = max(np.sqrt((one**2).sum(-1).mean()) for one in filter_shift_px.values()) / 2.0
+def stars_of(shift_px: FloatArray, filter_shift_px: Sequence[FloatArray]) -> StellarShifts:
+    """Statistics over the field of star shifts (t, g, 2), and of filter shifts (g, 2) by pair at the same places."""
+    half = max(np.sqrt((pair_shift**2).sum(-1).mean()) for pair_shift in filter_shift_px) / 2.0
     mean = shift_px.mean(1)
-    return Stars(
-        rms_px=np.sqrt((shift_px**2).sum(2).mean(1)),
-        mean_size_px=np.hypot(*mean.T),
-        max_px=np.hypot(*np.moveaxis(shift_px, 2, 0)).max(1),
-        mean_px=mean,
-        most_different_px=most_different_px(shift_px),
-        half_px=float(half),
-        third_px=float(half) / 3.0,
+    return StellarShifts(
+        rms_shift_px=np.sqrt((shift_px**2).sum(2).mean(1)),
+        mean_shift_length_px=np.hypot(*mean.T),
+        max_shift_px=np.hypot(*np.moveaxis(shift_px, 2, 0)).max(1),
+        mean_shift_px=mean,
+        most_different_rms_px=most_different_px(shift_px),
+        half_filter_shift_px=float(half),
+        one_third_rule_px=float(half) / 3.0,
     )
 
 
 STARS = Section(
-    record=Stars,
+    record=StellarShifts,
     dim="lens",
     table="stars",
     rows="lens temperature_k",
-    columns="rms_px mean_size_px max_px",
+    columns="rms_shift_px mean_shift_length_px max_shift_px",
     caption="Shift of black-body stars against the reference star.",
     figures={
         "star_shifts": curves(
             "temperature_k",
-            lines="rms_px mean_size_px max_px",
+            lines="rms_shift_px mean_shift_length_px max_shift_px",
             panels="lens",
-            dashes="third_px",
+            dashes="one_third_rule_px",
             log="x",
             y="Shift against the reference star",
             aspect_ratio=0.42,

@@ -34,48 +34,48 @@ OVER_BEST = 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Grid:
+class GridNumbers:
     """Distortion error (3 sigma) of n target points by method, reference and axis."""
 
-    references: Sequence[str]  # How target coordinates become pixels; without an earlier session none is "calibrated"
+    references: Sequence[str]  # Conversions of coordinates to pixels; "calibrated" needs an earlier session
     sigma_d_arcsec: FloatArray = col(LABELS[0], "arcsec", ".3f", DIMS)
-    sigma_left_arcsec: FloatArray = col(LABELS[1], "arcsec", ".3f", DIMS)
+    sigma_dd_arcsec: FloatArray = col(LABELS[1], "arcsec", ".3f", DIMS)
     sigma_c1_arcsec: FloatArray = col(LABELS[2], "arcsec", ".3f", DIMS)
-    left_out_arcsec: FloatArray = col("A point left out", "arcsec", ".3f", DIMS)
-    # The larger of both; NaN where the other rows or columns do not determine the polynomial
-    row_out_arcsec: FloatArray = col("A row or column left out", "arcsec", ".3f", DIMS)
+    point_deleted_arcsec: FloatArray = col("A point left out", "arcsec", ".3f", DIMS)
+    # The larger of both; NaN where the remaining rows or columns do not determine the polynomial
+    row_deleted_arcsec: FloatArray = col("A row or column left out", "arcsec", ".3f", DIMS)
     order: int = col("Order of the polynomial", shown=False)
     # First method, last reference
     nominal_px: FloatArray = col("Target", "px", ".2f", "point axis")
-    found_arcsec: FloatArray = col("Residual", "arcsec", ".3f", "point axis")
-    left_arcsec: FloatArray = col("After the polynomial", "arcsec", ".3f", "point axis")
+    residual_before_arcsec: FloatArray = col("Residual", "arcsec", ".3f", "point axis")
+    residual_after_arcsec: FloatArray = col("After the polynomial", "arcsec", ".3f", "point axis")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Order:
-    """A polynomial of another order for the same points, first method, last reference; 3 sigma, both axes together."""
+class PolynomialOrder:
+    """A polynomial of another order for the same points, first method, last reference; 3 sigma, both axes."""
 
-    tried: int = col("Order", format="d")
-    tried_left_arcsec: float = col("After the polynomial", "arcsec", ".3f")
-    tried_point_arcsec: float = col("A point left out", "arcsec", ".3f")
-    tried_row_arcsec: float = col("A row or column left out", "arcsec", ".3f")
+    order: int = col("Order", format="d")
+    residual_arcsec: float = col("After the polynomial", "arcsec", ".3f")
+    point_deleted_arcsec: float = col("A point left out", "arcsec", ".3f")
+    row_deleted_arcsec: float = col("A row or column left out", "arcsec", ".3f")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Choice:
-    """Whether the order is that of the target and of the lens."""
+class OrderChoice:
+    """Order of the polynomial against target and lens."""
 
     tested_order: int = col("Highest order that the other rows and columns determine where one is left out")
     best_order: int = col("Order with the smallest error at points left out")
     over_best: float = col("Error at points left out over that of the best order", format=".3g")
 
 
-def orders(tried: OrderComparison, scale: float) -> list[Order]:
+def orders(comparison: OrderComparison, scale: float) -> list[PolynomialOrder]:
     """A record per order, in units of ``scale`` [arcsec/px]."""
-    columns = (tried.order, scale * tried.residual_px, scale * tried.point_px, scale * tried.line_px)
+    errors = (scale * error for error in (comparison.residual_px, comparison.point_px, comparison.line_px))
     return [
-        Order(tried=int(order), tried_left_arcsec=after, tried_point_arcsec=point, tried_row_arcsec=line)
-        for order, after, point, line in zip(*columns, strict=True)
+        PolynomialOrder(order=int(order), residual_arcsec=residual, point_deleted_arcsec=point, row_deleted_arcsec=line)
+        for order, residual, point, line in zip(comparison.order, *errors, strict=True)
     ]
 
 
@@ -83,47 +83,52 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> Reduced:
     """Distortion error of a target with stated coordinates; one session "test" and at most one "earlier"."""
     if folder.nominal_px is None:
         raise DomainError("distortion needs the coordinates of the target: points_px or target in place of points")
-    by_session = {s: [one for one in folder.series if one.settings.session == s] for s in ("earlier", "test")}
+    by_session = {
+        session: [series for series in folder.series if series.settings.session == session]
+        for session in ("earlier", "test")
+    }
     if len(by_session["test"]) != 1 or len(by_session["earlier"]) > 1:
         raise DomainError(
             f"{len(by_session['test'])} series with session 'test' and {len(by_session['earlier'])} with 'earlier'; "
             "distortion needs one, and at most one"
         )
-    series = [reduce_series(folder, one, methods) for session in by_session.values() for one in session]
+    reduced = [reduce_series(folder, series, methods) for session in by_session.values() for series in session]
     references: tuple[Reference, ...] = ("nominal", "aligned", "calibrated")
-    references = references[: 1 + len(series)]
+    references = references[: 1 + len(reduced)]
     position = (folder.nominal_px - folder.centre_px) / (0.5 * np.hypot(folder.width_px, folder.height_px))
     rows, scale = [], 3.0 * folder.settings.pixel_arcsec
     for method in methods:
-        earlier, test = (one.points.mean_px(method) for one in (series[0], series[-1]))
-        residuals = [grid_residual_px(folder.nominal_px, position, earlier, test, one)[0] for one in references]
+        earlier, test = (session.points.mean_px(method) for session in (reduced[0], reduced[-1]))
+        residuals = [grid_residual_px(folder.nominal_px, position, earlier, test, r)[0] for r in references]
         rows.append([distortion_statistics(position, d, config.order) for d in residuals])
-    offset = [series[-1].points.mean_px(m) - folder.nominal_px for m in methods]
-    missed = scale * np.array(
-        [[deleted_rms_px(position, of, config.order, one) for one in references] for of in offset]
+    offset = [reduced[-1].points.mean_px(m) - folder.nominal_px for m in methods]
+    deleted = scale * np.array(
+        [[deleted_rms_px(position, offset_px, config.order, r) for r in references] for offset_px in offset]
     )
-    tried = compare_orders(position, offset[0], references[-1], highest=min(config.order + 2, HIGHEST_ORDER))
-    sigma = scale * np.array([[one.sigma_px for one in row] for row in rows])
-    grid = Grid(
+    comparison = compare_orders(position, offset[0], references[-1], highest=min(config.order + 2, HIGHEST_ORDER))
+    sigma = scale * np.array([[statistics.sigma_px for statistics in row] for row in rows])
+    grid = GridNumbers(
         references=references,
         sigma_d_arcsec=sigma[:, :, 0],
-        sigma_left_arcsec=sigma[:, :, 1],
+        sigma_dd_arcsec=sigma[:, :, 1],
         sigma_c1_arcsec=sigma[:, :, 2],
-        left_out_arcsec=missed[:, :, 0],
-        row_out_arcsec=missed[:, :, 1],
+        point_deleted_arcsec=deleted[:, :, 0],
+        row_deleted_arcsec=deleted[:, :, 1],
         order=config.order,
         nominal_px=folder.nominal_px,
-        found_arcsec=scale / 3.0 * rows[0][-1].d_px,
-        left_arcsec=scale / 3.0 * rows[0][-1].residual_px,
+        residual_before_arcsec=scale / 3.0 * rows[0][-1].d_px,
+        residual_after_arcsec=scale / 3.0 * rows[0][-1].residual_px,
     )
-    choice = Choice(
-        tested_order=tried.tested_order, best_order=tried.best_order, over_best=tried.over_best(config.order)
+    choice = OrderChoice(
+        tested_order=comparison.tested_order,
+        best_order=comparison.best_order,
+        over_best=comparison.over_best(config.order),
     )
-    sections = {"grid": grid, "orders": orders(tried, scale), "choice": choice}
-    return series, {**sections, **points_of(folder, series[-1], methods[0])}
+    sections = {"grid": grid, "orders": orders(comparison, scale), "choice": choice}
+    return reduced, {**sections, **points_of(folder, reduced[-1], methods[0])}
 
 
-def _axes(q: Quantities, grid: Grid) -> None:
+def _axes(q: Quantities, grid: GridNumbers) -> None:
     q.axis("reference", list(grid.references), "Reference")
 
 
@@ -147,30 +152,34 @@ own_frames = FramesTest(
     reduce=reduce,
     sections={
         "grid": Section(
-            record=Grid,
+            record=GridNumbers,
             axes=_axes,
             table="distortion",
             rows=DIMS,
-            columns="sigma_d_arcsec sigma_left_arcsec sigma_c1_arcsec left_out_arcsec row_out_arcsec",
+            columns="sigma_d_arcsec sigma_dd_arcsec sigma_c1_arcsec point_deleted_arcsec row_deleted_arcsec",
             caption="Distortion error (ACC18 eq. 17-30, 3 σ), and error of the map at points left out of the "
             "fit (3 times its RMS).",
             note="*nominal*: stated coordinates unchanged; *aligned*: shift, roll and scale fitted; *calibrated*: a "
             "camera model from the earlier session. *Left out*: camera and polynomial fitted without the point, or "
             "without its row or column (the larger; none: the others do not determine the polynomial there).",
-            figures={"residuals": arrows("nominal_px", "found_arcsec", "left_arcsec", frame="frame_size_px")},
+            figures={
+                "residuals": arrows(
+                    "nominal_px", "residual_before_arcsec", "residual_after_arcsec", frame="frame_size_px"
+                )
+            },
         ),
         "orders": Section(
-            record=Order,
-            dim="tried",
-            along="tried",
+            record=PolynomialOrder,
+            dim="other_order",
+            along="order",
             caption="Other orders of the polynomial: fit residuals, and error at points left out of the fit.",
         ),
         "choice": Section(
-            record=Choice,
+            record=OrderChoice,
             verdicts=[
                 above(
                     "tested_order",
-                    "order",
+                    "grid.order",
                     title="highest order of the polynomial that the target tests",
                     advice=_tested_advice,
                 ),
@@ -185,9 +194,9 @@ own_frames = FramesTest(
         **POINTS,
     },
     head={
-        "After the polynomial (3 σ)": ("sigma_left_arcsec", {"method": 0, "reference": -1}),
-        "Map, at points left out": ("left_out_arcsec", {"method": 0, "reference": -1}),
-        "Map, at rows left out": ("row_out_arcsec", {"method": 0, "reference": -1}),
+        "After the polynomial (3 σ)": ("sigma_dd_arcsec", {"method": 0, "reference": -1}),
+        "Map, at points left out": ("grid.point_deleted_arcsec", {"method": 0, "reference": -1}),
+        "Map, at rows left out": ("grid.row_deleted_arcsec", {"method": 0, "reference": -1}),
     },
     captions={
         "residuals": "Residuals with the last of the references: before and after the polynomial.",

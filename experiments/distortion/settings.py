@@ -29,7 +29,7 @@ class WideConfig(StrictModel):
     )
 
 
-class Config(PointConfig):
+class DistortionConfig(PointConfig):
     """The published run; ACC18 states 32 points, their marking error, a cubic polynomial and N >= 30."""
 
     target: GridTargetConfig = GridTargetConfig()
@@ -50,7 +50,7 @@ class Config(PointConfig):
     wide: WideConfig = WideConfig()
 
     @model_validator(mode="after")
-    def _enough(self) -> Config:
+    def _enough(self) -> DistortionConfig:
         if self.own_frames is not None:
             return self  # the target is another
         points, terms = self.target.rows * self.target.columns, (self.order + 1) * (self.order + 2) // 2
@@ -64,7 +64,7 @@ class Config(PointConfig):
 
 rendered = Experiment(
     name="distortion",
-    config=Config,
+    config=DistortionConfig,
     run="experiment:run",
     sections="experiment:SECTIONS",
     axes="experiment:axes",

@@ -14,18 +14,14 @@ import numpy as np
 
 from calib.accuracy.distortion import Reference, grid_residual_px, misfit_ratio
 from calib.accuracy.distortion_prediction import expected_numbers
-from experiments.distortion.settings import Config
+from experiments.distortion.settings import DistortionConfig
 from experiments.harness.progress import Progress
 from experiments.harness.sections import Section, agree, col, ratio_near
 from experiments.harness.summary import measured
 from experiments.laboratory.bench.point_laboratory import point_laboratory, prepared_scene
 from experiments.laboratory.devices.targets import grid_directions
 from experiments.laboratory.distortion_error import DistortionMeasurement, grid_position, measure_distortion
-from experiments.laboratory.distortion_model import (
-    DistortionPrediction,
-    marking_errors,
-    predict_distortion,
-)
+from experiments.laboratory.distortion_model import DistortionPrediction, marking_errors, predict_distortion
 from optics.arrays import FloatArray
 from render.detector.maps import sensor_maps
 from render.engine.random import Streams
@@ -37,15 +33,11 @@ REFERENCE: Reference = "aligned"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WideField:
-    """Distortion measured, residual and removed of one survey, 3 sigma."""
+    """Distortion before the polynomial, after it and removed by it, of a single survey, 3 sigma."""
 
     measured_arcsec: FloatArray = col("Measured", "arcsec", ".3f", "number axis")
-    predicted_arcsec: Any = col(
-        "Prescription",
-        "arcsec",
-        dims="number axis",
-    )
-    marking_arcsec: FloatArray = col("Marking errors alone", "arcsec", ".3f", "number axis")
+    predicted_arcsec: Any = col("Prescription", "arcsec", dims="number axis")
+    marking_error_arcsec: FloatArray = col("Marking errors alone", "arcsec", ".3f", "number axis")
     residual_ratio: Any = col("Residuals minus prescription, over expectation from noise and marking")
     pixel_arcsec: float = col("Angle of a pixel", "arcsec", ".1f")
 
@@ -54,7 +46,7 @@ WIDE = Section(
     record=WideField,
     table="wide_field",
     rows="number axis",
-    columns="measured_arcsec predicted_arcsec marking_arcsec",
+    columns="measured_arcsec predicted_arcsec marking_error_arcsec",
     caption="A lens whose distortion exceeds the marking error (3 σ): a single survey, shift, roll and scale fitted.",
     verdicts=[
         agree(
@@ -75,19 +67,19 @@ WIDE = Section(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WideRun:
-    """The test on a wide field, one centroider, one survey."""
+    """The test on a wide field by one centroider and one survey."""
 
     method: str
     frames: DistortionMeasurement
     predicted: DistortionPrediction
-    marking_px: FloatArray  # (3, 2) What marking errors alone give
+    marking_px: FloatArray  # (3, 2) Numbers of marking errors alone
 
 
-def wide_run(config: Config, streams: Streams, *, progress: Progress) -> WideRun:
+def wide_run(config: DistortionConfig, streams: Streams, *, progress: Progress) -> WideRun:
     """Render, read out, reduce and predict the test on the wide field."""
     wide = config.wide
-    own = {"instrument": wide.instrument, "passband": PassbandConfig(), "compare": ()}
-    bench, instrument = point_laboratory(config.model_copy(update=own))
+    changes = {"instrument": wide.instrument, "passband": PassbandConfig(), "compare": ()}
+    bench, instrument = point_laboratory(config.model_copy(update=changes))
     direction = grid_directions(wide.target, instrument, streams)
     scene = prepared_scene(bench, instrument, direction[None], progress)
     with progress.stage("wide field", total=2) as stage:
@@ -106,8 +98,8 @@ def wide_run(config: Config, streams: Streams, *, progress: Progress) -> WideRun
         defect=sensor_maps(instrument.detector).defect,
         seed=config.seed,
     )
-    alone = expected_numbers(marking_errors(wide.target, instrument, direction), wide.order, REFERENCE)
-    return WideRun(method=config.methods[0], frames=frames, predicted=predicted, marking_px=alone.rms_px)
+    marking = expected_numbers(marking_errors(wide.target, instrument, direction), wide.order, REFERENCE)
+    return WideRun(method=config.methods[0], frames=frames, predicted=predicted, marking_px=marking.rms_px)
 
 
 def wide_field(run: WideRun) -> WideField:
@@ -118,13 +110,13 @@ def wide_field(run: WideRun) -> WideField:
     distortion, _ = grid_residual_px(nominal, position, expected_px, expected_px, REFERENCE)
     ratio, scatter = misfit_ratio(
         statistics.d_px - distortion, np.hypot(predicted.point_px[run.method], predicted.marking_px), parameters=4
-    )  # shift, roll and scale are fitted
+    )  # parameters: shift, roll and scale
     return WideField(
         measured_arcsec=scale * statistics.sigma_px,
         predicted_arcsec=measured(
             scale * predicted.mean_px[run.method][REFERENCE], scale * predicted.scatter_px[run.method][REFERENCE]
         ),
-        marking_arcsec=scale * run.marking_px,
+        marking_error_arcsec=scale * run.marking_px,
         residual_ratio=measured(ratio, scatter),
         pixel_arcsec=frames.instrument.pixel_arcsec,
     )

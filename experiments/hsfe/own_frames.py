@@ -28,7 +28,7 @@ from optics.errors import DomainError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Steps:
+class PathErrors:
     """High spatial frequency error (3 sigma) by method and axis."""
 
     hsfe_arcsec: Sequence[Sequence[Measured]] = col("As printed", "arcsec", dims="method axis")
@@ -39,53 +39,53 @@ class Steps:
     single_low_arcsec: FloatArray = col("from", "arcsec", ".4f", "method axis")
     single_high_arcsec: FloatArray = col("to", "arcsec", ".4f", "method axis")
     single_upper_arcsec: FloatArray = col("at most", "arcsec", ".4f", "method axis")
-    single_degrees: FloatArray = col("Degrees of freedom", "", ".0f", "method axis")
+    single_degrees_of_freedom: FloatArray = col("Degrees of freedom", "", ".0f", "method axis")
     residual_arcsec: FloatArray = col("Residual of a step", "arcsec", ".3f", "step point axis")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Order:
-    """Two interchanged positions."""
+class PositionOrder:
+    """Interchanged positions."""
 
-    said: Sequence[str]  # In words
-    misplaced: int = col("Pairs of positions that are exchanged")
+    descriptions: Sequence[str]
+    exchanged: int = col("Pairs of positions that are exchanged")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Position:
+class SeriesShift:
     """Shift of the whole image since the first position."""
 
-    seen_px: FloatArray = col("Measured", "px", ".4f", "axis")
+    measured_px: FloatArray = col("Measured", "px", ".4f", "axis")
     commanded_px: FloatArray = col("Commanded", "px", ".4f", "axis")
 
 
 def interval_text(error: PositionError, axis: int, scale: float) -> str:
     """An estimate with its interval, or as consistent with zero."""
-    low, high, upper = (float(one[axis]) * scale for one in (error.low_px, error.high_px, error.upper_px))
+    low, high, upper = (scale * float(bound[axis]) for bound in (error.low_px, error.high_px, error.upper_px))
     value = float(error.value_px[axis]) * scale
     if not low > 0.0:
         return f"consistent with zero, upper limit {upper:.3f} at {error.level:.0%}"
     return f"{value:.3f} ({low:.3f} to {high:.3f} at {error.level:.0%})"
 
 
-def steps(series: Sequence[SeriesFrames], methods: Sequence[str], scale: float) -> Steps:
-    """As printed, and of one position (analysis of variance), in units of ``scale`` [arcsec/px]."""
-    mean = {m: np.stack([one.points.mean_px(m) for one in series]) for m in methods}
-    frames = np.array([one.frames for one in series])
-    errors = [position_error(mean[m], np.stack([one.points.sigma_px(m) for one in series]), frames) for m in methods]
-    printed = [high_frequency_error(mean[m], scale / 3.0) for m in methods]
-    value, error = (np.array([getattr(term, part) for term in printed]) for part in ("arcsec", "uncertainty_arcsec"))
+def steps(series: Sequence[SeriesFrames], methods: Sequence[str], scale: float) -> PathErrors:
+    """HSFE as printed, and error of a single position (analysis of variance); ``scale``: 3 sigma, [arcsec/px]."""
+    mean = {m: np.stack([s.points.mean_px(m) for s in series]) for m in methods}
+    frames = np.array([s.frames for s in series])
+    errors = [position_error(mean[m], np.stack([s.points.sigma_px(m) for s in series]), frames) for m in methods]
+    terms = [high_frequency_error(mean[m], scale / 3.0) for m in methods]
+    value, error = (np.array([getattr(term, part) for term in terms]) for part in ("arcsec", "uncertainty_arcsec"))
     low, high = scatter_interval(value, error / value)
-    return Steps(
-        hsfe_arcsec=measured(value, error, n=printed[0].n, unit="arcsec"),
+    return PathErrors(
+        hsfe_arcsec=measured(value, error, n=terms[0].n, unit="arcsec"),
         low_arcsec=low,
         high_arcsec=high,
-        single_text=[[interval_text(one, axis, scale) for axis in range(2)] for one in errors],
-        single_estimate_arcsec=scale * np.array([one.value_px for one in errors]),
-        single_low_arcsec=scale * np.array([one.low_px for one in errors]),
-        single_high_arcsec=scale * np.array([np.where(one.low_px > 0, one.high_px, np.nan) for one in errors]),
-        single_upper_arcsec=scale * np.array([one.upper_px for one in errors]),
-        single_degrees=np.array([one.degrees for one in errors]),
+        single_text=[[interval_text(single, axis, scale) for axis in range(2)] for single in errors],
+        single_estimate_arcsec=scale * np.array([single.value_px for single in errors]),
+        single_low_arcsec=scale * np.array([single.low_px for single in errors]),
+        single_high_arcsec=scale * np.array([np.where(single.low_px > 0, single.high_px, np.nan) for single in errors]),
+        single_upper_arcsec=scale * np.array([single.upper_px for single in errors]),
+        single_degrees_of_freedom=np.array([single.degrees for single in errors]),
         residual_arcsec=scale / 3.0 * step_residual_px(mean[methods[0]]),
     )
 
@@ -106,16 +106,21 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any = None) -> R
         raise DomainError(f"{len(folder.series)} position; at least 2 [[series]] are needed")
     if len(folder.series[0].detected_px) < 2:
         raise DomainError("1 target point; at least 2 are needed, because the mean over the points is removed")
-    series = [reduce_series(folder, one, methods) for one in folder.series]
-    mean = np.stack([one.points.mean_px(methods[0]) for one in series])
-    missing = (float("nan"), float("nan"))
-    shift, commanded = (mean - mean[0]).mean(1), np.array([one.settings.shift_px or missing for one in series])
+    series = [reduce_series(folder, position, methods) for position in folder.series]
+    mean = np.stack([s.points.mean_px(methods[0]) for s in series])
+    unknown = (float("nan"), float("nan"))
+    shift, commanded = (mean - mean[0]).mean(1), np.array([s.settings.shift_px or unknown for s in series])
     pair = exchanged_positions(shift, commanded)
-    said = [] if pair is None else [exchange_text(pair, commanded, [one.name for one in series])]
+    descriptions = [] if pair is None else [exchange_text(pair, commanded, [s.name for s in series])]
     return series, {
         "steps": steps(series, methods, 3.0 * folder.settings.pixel_arcsec),
-        "positions": [Position(seen_px=one, commanded_px=other) for one, other in zip(shift, commanded, strict=True)],
-        "order": Order(said=said, misplaced=len(said)) if np.isfinite(commanded).all() else None,
+        "positions": [
+            SeriesShift(measured_px=measured_px, commanded_px=commanded_px)
+            for measured_px, commanded_px in zip(shift, commanded, strict=True)
+        ],
+        "order": PositionOrder(descriptions=descriptions, exchanged=len(descriptions))
+        if np.isfinite(commanded).all()
+        else None,
         **points_of(folder, series[-1], methods[0]),
     }
 
@@ -126,7 +131,7 @@ own_frames = FramesTest(
     reduce=reduce,
     sections={
         "steps": Section(
-            record=Steps,
+            record=PathErrors,
             table="hsfe",
             rows="method axis",
             columns="hsfe_arcsec low_arcsec high_arcsec single_text",
@@ -137,21 +142,21 @@ own_frames = FramesTest(
             figures={"residuals": cloud("residual_arcsec", ellipses="hsfe_arcsec", at={"method": 0})},
         ),
         "positions": Section(
-            record=Position,
+            record=SeriesShift,
             dim="series",
             across="axis",
-            columns="frames seen_px commanded_px",
+            columns="frames measured_px commanded_px",
             caption="Shift of the whole image since the first position, as measured and as commanded.",
         ),
         "order": Section(
-            record=Order,
+            record=PositionOrder,
             verdicts=[
                 below(
-                    "misplaced",
+                    "exchanged",
                     0,
                     title="exchanged pairs of positions",
                     advice=lambda outcome: (
-                        "; ".join(outcome.result["order"].said) + ": files or shift_px are in the wrong order"
+                        "; ".join(outcome.result["order"].descriptions) + ": files or shift_px are in the wrong order"
                     ),
                 )
             ],

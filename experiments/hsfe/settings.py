@@ -13,7 +13,7 @@ from experiments.laboratory.settings.points import StarTargetConfig
 from experiments.laboratory.settings.tables import HexapodConfig, StepConfig
 
 
-class Config(StarTargetConfig):
+class HsfeConfig(StarTargetConfig):
     """The published run; ACC18 states 12 positions of 0.2 px along 45 deg, 25 stars, at least 30 frames."""
 
     steps: StepConfig = StepConfig()
@@ -26,7 +26,7 @@ class Config(StarTargetConfig):
 
 rendered = Experiment(
     name="hsfe",
-    config=Config,
+    config=HsfeConfig,
     run="experiment:run",
     sections="experiment:SECTIONS",
     axes="experiment:axes",

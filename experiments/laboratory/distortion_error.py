@@ -30,7 +30,7 @@ SESSIONS = ("earlier", "test")
 
 
 def grid_position(instrument: Instrument, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Nominal pixels (n, 2) of directions (n, 3), and the same from the middle in units of half the diagonal."""
+    """Nominal pixels (n, 2) of directions (n, 3), and the same from the centre in units of half the diagonal."""
     camera = instrument.camera
     nominal = nominal_px(instrument, direction)
     return nominal, (nominal - camera.centre_px) / (0.5 * np.hypot(camera.width_px, camera.height_px))
@@ -44,7 +44,7 @@ class DistortionMeasurement:
     order: int  # Of the polynomial
     frames: int  # N of each session
     direction: FloatArray  # (n, 3) True directions of the points
-    surveyed: FloatArray  # (q, n, 3) As measured beforehand, by q surveys; the first is the one that counts
+    surveyed: FloatArray  # (q, n, 3) Directions by q surveys before the test; statistics use the first by default
     session_px: Mapping[str, FloatArray]  # (2, n, 2) Mean centroids of `SESSIONS` by method
     sigma_px: Mapping[str, FloatArray]  # (n, 2) Standard deviation of a single frame's centroid
     light: PointLight  # The target as rendered, with truth
@@ -65,11 +65,11 @@ class DistortionMeasurement:
         return distortion_statistics(position, d_px, self.order)
 
     def over_surveys(self, method: str, reference: Reference) -> FloatArray:
-        """sigma_d, sigma_D and sigma_C1 (q, 3, 2) [px] of every survey: the same frames, another total station."""
+        """sigma_d, sigma_Dd and sigma_C1 (q, 3, 2) [px] of the same frames with every survey."""
         return np.stack([self.statistics(method, reference, copy).sigma_px for copy in range(len(self.surveyed))])
 
-    def left_out_px(self, method: str, reference: Reference) -> FloatArray:
-        """RMS error (2, 2) per axis at points left out, and at rows or columns left out, of the first survey."""
+    def deleted_rms_px(self, method: str, reference: Reference) -> FloatArray:
+        """RMS of deleted residuals (2, 2) per axis, by point and by row or column, of the first survey."""
         nominal, position = grid_position(self.instrument, self.surveyed[0])
         return deleted_rms_px(position, self.session_px[method][1] - nominal, self.order, reference)
 
@@ -99,18 +99,15 @@ def dense_grid(instrument: Instrument, rows: int, columns: int) -> FloatArray:
     """Unit vectors (rows * columns, 3) in cam that an ideal lens images on a grid over the whole detector."""
     camera = instrument.camera
     x, y = np.meshgrid(np.linspace(0, camera.width_px - 1, columns), np.linspace(0, camera.height_px - 1, rows))
-    # ideal corners lie just beyond the field of the lens; the chief ray there is the same smooth function
+    # corners lie just beyond the field of the lens, where the chief ray is traced too
     return camera.nominal_direction(x, y, instrument.focal_length_mm).reshape(-1, 3)
 
 
 def traced_bundles(bench: Bench, instrument: Instrument, direction: FloatArray) -> FloatArray:
     """Photon-weighted bundle means (n, 2) [px] through the bench's reference filter, by the NumPy trace."""
-    one = one_filter(bench)
-    parts = [
-        bundle_prediction(one, instrument, part[None])[0, :, 0]
-        for part in np.array_split(direction, -(-len(direction) // 64))
-    ]
-    return np.concatenate(parts)
+    reference_bench = one_filter(bench)
+    chunks = np.array_split(direction, -(-len(direction) // 64))  # bounds the memory
+    return np.concatenate([bundle_prediction(reference_bench, instrument, chunk[None])[0, :, 0] for chunk in chunks])
 
 
 def measure_distortion(
@@ -129,7 +126,7 @@ def measure_distortion(
     bench = scene.bench
     direction = grid_directions(target, instrument, streams)
     light = scene.light(direction, streams, "grid")
-    sessions: dict[str, list[FloatArray]] = {m: [] for m in bench.methods}
+    sessions: dict[str, list[FloatArray]] = {method: [] for method in bench.methods}
     sigma: dict[str, FloatArray] = {}
     for session in SESSIONS:
         frames = read_points(light, bench, instrument, streams=streams.child(session))
@@ -143,7 +140,7 @@ def measure_distortion(
         frames=bench.frames,
         direction=direction,
         surveyed=survey(target, direction, streams.generator("survey"), copies=surveys),
-        session_px={m: np.stack(v) for m, v in sessions.items()},
+        session_px={method: np.stack(mean_px) for method, mean_px in sessions.items()},
         sigma_px=sigma,
         light=light,
     )

@@ -45,7 +45,7 @@ from render.sensor_file.instrument import Instrument
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DistortionPrediction:
-    """Expected values of the document's numbers; [px], 1 sigma, by method and reference."""
+    """Expected values of ACC18's numbers; [px], 1 sigma, by method and reference."""
 
     pixel_arcsec: float  # Angle of a pixel
     # (3, 2) sigma_d, sigma_Dd, sigma_C1: root mean square over chips, runs and surveys; standard deviation of the
@@ -54,28 +54,28 @@ class DistortionPrediction:
     scatter_px: Mapping[str, Mapping[Reference, FloatArray]]
     frozen_px: Mapping[str, Mapping[Reference, FloatArray]]
     bundle_px: FloatArray  # (n, 2) Traced positions of the points
-    position_px: Mapping[str, FloatArray]  # (n, 2) Expected mean centroids: traced light as the centroider sees it
+    position_px: Mapping[str, FloatArray]  # (n, 2) Expected mean centroids of the traced light, bias included
     point_px: Mapping[str, FloatArray]  # (n, 2) Predicted error of a mean centroid by noise and response pattern
     marking_px: float  # Standard deviation per axis of a surveyed coordinate
 
     def of_surveys_px(self, method: str, reference: Reference, surveys: int) -> FloatArray:
         """Standard deviation (3, 2) of the RMS over a number of surveys of one chip and one run."""
-        one, frozen = self.scatter_px[method][reference], self.frozen_px[method][reference]
-        return np.sqrt(frozen**2 + np.maximum(one**2 - frozen**2, 0.0) / surveys)
+        total, frozen = self.scatter_px[method][reference], self.frozen_px[method][reference]
+        return np.sqrt(frozen**2 + np.maximum(total**2 - frozen**2, 0.0) / surveys)
 
 
 def marking_errors(target: GridTargetConfig, instrument: Instrument, direction: FloatArray) -> GridErrors:
     """Residuals of a target (n, 3) through a perfect camera without noise: marking errors alone."""
     _, position = grid_position(instrument, direction)
-    # an error of the surveyed tangent is one of the nominal coordinate, the same at every place
+    # errors of surveyed tangents, of one size over the field, are errors of nominal coordinates
     scale_px = instrument.focal_length_mm / instrument.camera.pixel_pitch_mm
-    none = np.zeros((len(position), 2, 2))
+    zero = np.zeros((len(position), 2, 2))
     return GridErrors(
         position=position,
         offset_px=np.zeros_like(position),
-        chip_px2=none,
-        session_px2=none,
-        mean_px2=none,
+        chip_px2=zero,
+        session_px2=zero,
+        mean_px2=zero,
         marking_px=target.marking_error_arcsec * ARCSEC_RAD * scale_px,
     )
 
@@ -95,51 +95,50 @@ def predict_distortion(
 ) -> DistortionPrediction:
     """Prediction for every centroider of the bench."""
     bench = one_filter(bench)
-    noise, told = instrument.pixel_noise(), nominal_noise(instrument)
+    pixel, noise_model = instrument.pixel_noise(), nominal_noise(instrument)
     windows = target_windows(bench, instrument, direction[None], psf, defect=defect)
     nominal, _ = grid_position(instrument, direction)
-    marked = marking_errors(target, instrument, direction)
-    found: dict[str, dict[Reference, ExpectedNumbers]] = {}
-    point: dict[str, FloatArray] = {}
-    expected: dict[str, FloatArray] = {}
-    for name, centroider in centroiders(bench, psf).items():
-        response = window_response(centroider, windows, told)
-        chip = response.covariance_px2(noise.response_e2(windows.light_e))
-        position, single = response.position_px, response.covariance_px2(noise.temporal_e2(windows.light_e))
-        own = np.zeros_like(chip)
-        if noise_draws and not needs_epsf(name):
-            lots = Streams(seed).generator("distortion noise")
-            drawn = drawn_positions(centroider, windows, told, noise, draws=noise_draws, rng=lots)
-            position, single = np.nanmean(drawn, axis=0), position_covariance_px2(drawn)
-            own = single / noise_draws
-        if sessions := session_centroiders(bench, psf, name):
-            position, built = _over_sessions(sessions, windows, told)
-            chip, own = chip + built, own + built / len(sessions)
-        dark = response.covariance_px2(np.full_like(windows.light_e, noise.floor_e2 / bench.dark_frames))
-        session = single / bench.frames + dark
-        expected[name] = position
-        point[name] = np.sqrt(np.diagonal(chip + session, axis1=1, axis2=2))
-        offset = position - nominal
-        errors = replace(marked, offset_px=offset, chip_px2=chip, session_px2=session, mean_px2=own)
-        found[name] = {reference: expected_numbers(errors, order, reference) for reference in references}
+    marking = marking_errors(target, instrument, direction)
+    dark_e2 = np.full_like(windows.light_e, pixel.floor_e2 / bench.dark_frames)
+    numbers: dict[str, dict[Reference, ExpectedNumbers]] = {}
+    position_px: dict[str, FloatArray] = {}
+    point_px: dict[str, FloatArray] = {}
+    for method, centroider in centroiders(bench, psf).items():
+        response = window_response(centroider, windows, noise_model)
+        chip = response.covariance_px2(pixel.response_e2(windows.light_e))
+        position, frame = response.position_px, response.covariance_px2(pixel.temporal_e2(windows.light_e))
+        of_draws = np.zeros_like(chip)  # covariance of the predicted mean itself
+        if noise_draws and not needs_epsf(method):
+            rng = Streams(seed).generator("distortion noise")
+            drawn = drawn_positions(centroider, windows, noise_model, pixel, draws=noise_draws, rng=rng)
+            position, frame = np.nanmean(drawn, axis=0), position_covariance_px2(drawn)
+            of_draws = frame / noise_draws
+        if sessions := session_centroiders(bench, psf, method):
+            position, of_psf = _over_sessions(sessions, windows, noise_model)
+            chip, of_draws = chip + of_psf, of_draws + of_psf / len(sessions)
+        session = frame / bench.frames + response.covariance_px2(dark_e2)
+        position_px[method] = position
+        point_px[method] = np.sqrt(np.diagonal(chip + session, axis1=1, axis2=2))
+        errors = replace(marking, offset_px=position - nominal, chip_px2=chip, session_px2=session, mean_px2=of_draws)
+        numbers[method] = {reference: expected_numbers(errors, order, reference) for reference in references}
     return DistortionPrediction(
         pixel_arcsec=instrument.pixel_arcsec,
-        mean_px={m: {r: v.rms_px for r, v in of.items()} for m, of in found.items()},
-        scatter_px={m: {r: v.scatter_px for r, v in of.items()} for m, of in found.items()},
-        frozen_px={m: {r: v.frozen_px for r, v in of.items()} for m, of in found.items()},
+        mean_px={m: {r: v.rms_px for r, v in by_reference.items()} for m, by_reference in numbers.items()},
+        scatter_px={m: {r: v.scatter_px for r, v in by_reference.items()} for m, by_reference in numbers.items()},
+        frozen_px={m: {r: v.frozen_px for r, v in by_reference.items()} for m, by_reference in numbers.items()},
         bundle_px=windows.position_px,
-        position_px=expected,
-        point_px=point,
-        marking_px=marked.marking_px,
+        position_px=position_px,
+        point_px=point_px,
+        marking_px=marking.marking_px,
     )
 
 
 def _over_sessions(
-    sessions: Sequence[Centroider], windows: ExpectedWindows, told: NoiseModel
+    sessions: Sequence[Centroider], windows: ExpectedWindows, noise_model: NoiseModel
 ) -> tuple[FloatArray, FloatArray]:
-    """Mean position (n, 2) over the PSFs that sessions might give, and the covariance (n, 2, 2) of what they do apart;
-    what a PSF does to all points alike is a shift of the camera."""
-    position = np.stack([noiseless_positions(one, windows, told) for one in sessions])
+    """Mean position (n, 2) over PSFs of drawn sessions, and covariance (n, 2, 2) of their differences from point to
+    point; a shift common to all points is one of the camera."""
+    position = np.stack([noiseless_positions(centroider, windows, noise_model) for centroider in sessions])
     return position.mean(0), position_covariance_px2(position - position.mean(1, keepdims=True))
 
 

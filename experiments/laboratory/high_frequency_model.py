@@ -32,7 +32,7 @@ class HighFrequencyPrediction:
     """Predictions by centroider."""
 
     pixel_arcsec: float  # Angle of a pixel
-    place_px: FloatArray  # (m, j, 2) Traced positions of an ideal hexapod, or as shifted
+    position_px: FloatArray  # (m, j, 2) Traced positions for an ideal hexapod, plus ``shift_px``
     method: Mapping[str, StepPrediction]  # By name
 
 
@@ -90,6 +90,6 @@ def predict_high_frequency(
         )
     return HighFrequencyPrediction(
         pixel_arcsec=instrument.pixel_arcsec,
-        place_px=windows.position_px.reshape(steps.positions, -1, 2),
+        position_px=windows.position_px.reshape(steps.positions, -1, 2),
         method=methods,
     )

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from calib.accuracy.error_budget import ErrorTerm
 from calib.accuracy.temporal import relative_scatter, small_sample_factor
 from experiments.harness.drawings import cloud, curves
 from experiments.harness.progress import Progress
@@ -22,7 +23,7 @@ from experiments.laboratory.bench.point_laboratory import (
     prepared_scene,
 )
 from experiments.laboratory.bench.signal import Signal
-from experiments.laboratory.devices.collimator_effects import SIGHT, sight_of
+from experiments.laboratory.devices.collimator_effects import LINE_OF_SIGHT, line_of_sight
 from experiments.laboratory.settings.published import ACC18_ARCSEC, is_published_sensor
 from experiments.laboratory.temporal_error import (
     TemporalMeasurement,
@@ -31,7 +32,7 @@ from experiments.laboratory.temporal_error import (
     predict_temporal,
     target_place,
 )
-from experiments.temporal.settings import Config
+from experiments.temporal.settings import TemporalConfig
 from optics.arrays import FloatArray
 from render.engine.random import Streams
 
@@ -39,7 +40,7 @@ Errors = Sequence[Sequence[Measured]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scatter:
+class LevelScatter:
     """Temporal error (3 sigma) at one signal, measured and predicted without frames."""
 
     signal_e: float = col("Signal", "e-", ".0f", shown=False)
@@ -47,106 +48,109 @@ class Scatter:
     measured_arcsec: Errors = col("Measured", "arcsec", dims="method axis")
     predicted_arcsec: FloatArray = col("Predicted", "arcsec", ".4f", "method axis")
     predicted_linear_arcsec: FloatArray = col("Predicted, linear", "arcsec", ".4f", "method axis", shown=False)
-    bound_arcsec: FloatArray = col("Cramér-Rao", "arcsec", ".4f", "axis")
+    cramer_rao_arcsec: FloatArray = col("Cramér-Rao", "arcsec", ".4f", "axis")
     ratio: Errors = col("Measured / predicted", dims="method axis")
-    over_bound: Errors = col("Measured / Cramér-Rao", dims="method axis", shown=False)
+    over_cramer_rao: Errors = col("Measured / Cramér-Rao", dims="method axis", shown=False)
     published_arcsec: Sequence[float] | None = col("Published", "arcsec", dims="axis", shown=False, default=None)
 
 
 def scatter(
     measured: TemporalMeasurement, predicted: TemporalPrediction, methods: Sequence[str], star: Signal, level: int = 0
-) -> Scatter:
+) -> LevelScatter:
     """Eq. 1-2 of the frames at one level; the ratios leave out the small-sample factor of a standard deviation."""
     c4, signal_e = small_sample_factor(measured.frames), float(measured.levels_e[level])
     terms = [measured.temporal_error(m, level) for m in methods]
-    value, error = (np.array([getattr(term, part) for term in terms]) for part in ("arcsec", "uncertainty_arcsec"))
-    expected = [predicted.sampled_error(m, level) for m in methods]
-    drawn, spread = (np.array([getattr(of, part) for of in expected]) for part in ("arcsec", "uncertainty_arcsec"))
+    value, error = _arrays(terms)
+    drawn, drawn_error = _arrays([predicted.sampled_error(m, level) for m in methods])
     bound = predicted.arcsec(predicted.bound_px[level])
-    ratio, over_bound, count = value / (c4 * drawn), value / (c4 * bound), terms[0].n
-    return Scatter(
+    ratio, over_cramer_rao, count = value / (c4 * drawn), value / (c4 * bound), terms[0].n
+    return LevelScatter(
         signal_e=signal_e,
         magnitude_mag=star.magnitude_of(signal_e),
         measured_arcsec=with_error(value, error, n=count, unit="arcsec"),
         predicted_arcsec=drawn,
         predicted_linear_arcsec=np.array([predicted.arcsec(predicted.linear_px[m][level]) for m in methods]),
-        bound_arcsec=bound,
-        ratio=with_error(ratio, ratio * np.hypot(error / value, spread / drawn), n=count),
-        over_bound=with_error(over_bound, over_bound * error / value, n=count),
+        cramer_rao_arcsec=bound,
+        ratio=with_error(ratio, ratio * np.hypot(error / value, drawn_error / drawn), n=count),
+        over_cramer_rao=with_error(over_cramer_rao, over_cramer_rao * error / value, n=count),
     )
 
 
+def _arrays(terms: Sequence[ErrorTerm]) -> tuple[FloatArray, FloatArray]:
+    """Values and uncertainties (term, axis)."""
+    return np.array([term.arcsec for term in terms]), np.array([term.uncertainty_arcsec for term in terms])
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Star:
+class StarScatter:
     """Standard deviation of a star's centroid at the signal of the source, first centroider, per axis."""
 
     light_px: FloatArray = col("Centroid of the light", "px", dims="axis")
     sigma_px: Sequence[Measured] = col("Measured σ", "px", dims="axis")
     predicted_px: FloatArray = col("Predicted σ", "px", dims="axis")
-    bound_px: FloatArray = col("Cramér-Rao σ", "px", dims="axis")
+    cramer_rao_px: FloatArray = col("Cramér-Rao σ", "px", dims="axis")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Frames:
+class Conditions:
     """Test conditions, and the frames at the signal of the source."""
 
     frames: int = col("Frames")
     stars: int = col("Stars")
     pixel_arcsec: float = col("Angle of a pixel", "arcsec")
     signal_star: str = col("Star")
-    apart_arcsec: FloatArray = col("Centroids about their mean", "arcsec", dims="frame star axis")
+    deviation_arcsec: FloatArray = col("Centroids about their mean", "arcsec", dims="frame star axis")
 
 
-def stars(measured: TemporalMeasurement, predicted: TemporalPrediction, method: str) -> list[Star]:
+def stars(measured: TemporalMeasurement, predicted: TemporalPrediction, method: str) -> list[StarScatter]:
     """Every star at the first level."""
     expected = predicted.sampled_px[method][0]
     error = expected * small_sample_factor(measured.frames) * relative_scatter(measured.frames)
     sigma = with_error(measured.sigma_px[method][0], error)
     rows = zip(measured.light.photon_px, sigma, expected, predicted.bound_px[0], strict=True)
     return [
-        Star(light_px=light, sigma_px=star_sigma, predicted_px=drawn, bound_px=bound)
+        StarScatter(light_px=light, sigma_px=star_sigma, predicted_px=drawn, cramer_rao_px=bound)
         for light, star_sigma, drawn, bound in rows
     ]
 
 
-def axes(config: Config) -> Quantities:
+def axes(config: TemporalConfig) -> Quantities:
     """Dimensions that all sections share."""
     return point_quantities(config.methods)
 
 
-def run(config: Config, *, progress: Progress) -> dict[str, Any]:
+def run(config: TemporalConfig, *, progress: Progress) -> dict[str, Any]:
     """Render, read out, reduce, predict."""
     bench, instrument = point_laboratory(config, config.target)
     streams, levels, methods = Streams(config.seed).child("temporal"), config.brightness, config.methods
     wanted = np.geomspace(levels.lowest_e, levels.highest_e, levels.levels)
-    drift = streams.generator("brightness").standard_normal(len(wanted))
-    reached = wanted * np.exp(levels.setting_error_ratio * drift)
-    place = {"place_px": config.place_px}
+    deviates = streams.generator("brightness").standard_normal(len(wanted))
+    reached = wanted * np.exp(levels.setting_error_ratio * deviates)
     scene = prepared_scene(bench, instrument, target_place(bench, instrument, config.place_px)[None], progress)
     with progress.stage("frames", total=len(reached) + 1) as stage:
-        here: dict[str, Any] = {"scene": scene, "advance": stage.advance, **place}
-        measured = measure_temporal(bench, instrument, levels_e=reached, streams=streams, **here)
-        nominal = measure_temporal(bench, instrument, streams=streams.child("nominal"), **here)
+        test: dict[str, Any] = {"scene": scene, "place_px": config.place_px, "advance": stage.advance}
+        measured = measure_temporal(bench, instrument, levels_e=reached, streams=streams, **test)
+        nominal = measure_temporal(bench, instrument, streams=streams.child("nominal"), **test)
     with progress.stage("prediction"):
-        free: dict[str, Any] = {"psf": nominal.light.psf, "draws": config.draws, **place}
-        predicted = predict_temporal(bench, instrument, levels_e=reached, seed=config.seed, **free)
-        at_nominal = predict_temporal(bench, instrument, seed=config.seed + 1, **free)
+        model: dict[str, Any] = {"psf": nominal.light.psf, "draws": config.draws, "place_px": config.place_px}
+        predicted = predict_temporal(bench, instrument, levels_e=reached, seed=config.seed, **model)
+        at_nominal = predict_temporal(bench, instrument, seed=config.seed + 1, **model)
     star = point_signal(config, instrument)
     centroids_px = nominal.position_px[methods[0]][0]
     motion_px2 = np.concatenate([measured.motion_px2, nominal.motion_px2])
     published: dict[str, Any] = {"published_arcsec": ACC18_ARCSEC["TE"]} if is_published_sensor(config) else {}
     return {
-        "frames": Frames(
+        "test": Conditions(
             frames=nominal.frames,
             stars=len(nominal.light),
             pixel_arcsec=instrument.pixel_arcsec,
             signal_star=star.star,
-            apart_arcsec=instrument.pixel_arcsec * (centroids_px - np.nanmean(centroids_px, axis=0)),
+            deviation_arcsec=instrument.pixel_arcsec * (centroids_px - np.nanmean(centroids_px, axis=0)),
         ),
         "nominal": replace(scatter(nominal, at_nominal, methods, star), **published),
         "levels": [scatter(measured, predicted, methods, star, level) for level in range(len(reached))],
         "stars": stars(nominal, at_nominal, methods[0]),
-        "sight": sight_of(bench, instrument, motion_px2),
+        "line_of_sight": line_of_sight(bench, instrument, motion_px2),
     }
 
 
@@ -155,16 +159,16 @@ NOTE = (
     "not (as in ACC18)."
 )
 SECTIONS = {
-    "frames": Section(
-        record=Frames,
+    "test": Section(
+        record=Conditions,
         figures={
             "frame_cloud": cloud(
-                "apart_arcsec", ellipses="nominal.predicted_arcsec nominal.bound_arcsec", at={"method": 0}
+                "deviation_arcsec", ellipses="nominal.predicted_arcsec nominal.cramer_rao_arcsec", at={"method": 0}
             ),
         },
     ),
     "nominal": Section(
-        record=Scatter,
+        record=LevelScatter,
         table="temporal_error",
         caption="Temporal error (3 σ) of one star at the signal of the source.",
         note=NOTE,
@@ -174,11 +178,11 @@ SECTIONS = {
                 within=0.05,
                 at={"method": 0},
                 title="temporal error at the signal of the source over prediction",
-            )
+            ),
         ],
     ),
     "levels": Section(
-        record=Scatter,
+        record=LevelScatter,
         dim="level",
         along="signal_e",
         caption="Temporal error (3 σ) against signal.",
@@ -190,7 +194,7 @@ SECTIONS = {
                 lines="predicted_arcsec",
                 by="method",
                 panels="axis",
-                floor="bound_arcsec",
+                floor="cramer_rao_arcsec",
                 dashes="nominal.published_arcsec",
                 log="xy",
                 y="Temporal error, 3 σ",
@@ -209,7 +213,7 @@ SECTIONS = {
         verdicts=[
             agree("ratio", 1.0, each="method", title="temporal error over all levels against prediction"),
             ratio_near(
-                "over_bound",
+                "over_cramer_rao",
                 within=0.02,
                 at={"method": "epsf"},
                 mean=True,
@@ -218,10 +222,10 @@ SECTIONS = {
         ],
     ),
     "stars": Section(
-        record=Star,
+        record=StarScatter,
         dim="star",
         across="axis",
         caption="Standard deviation of each star at the signal of the source, first centroider.",
     ),
-    "sight": SIGHT,
+    "line_of_sight": LINE_OF_SIGHT,
 }

@@ -21,7 +21,7 @@ from optics.arrays import FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Level:
+class SeriesScatter:
     """Temporal error of a series (3 sigma), and its prediction from the stated camera noise."""
 
     measured_arcsec: Sequence[Sequence[Measured]] = col("Measured", "arcsec", dims="method axis")
@@ -31,15 +31,15 @@ class Level:
     ratio: FloatArray = col("Ratio", "", ".3f", "method axis")
 
 
-def level(series: SeriesFrames, methods: Sequence[str], pixel_arcsec: float) -> Level:
-    """One series; the small-sample factor of the measured values is taken out of the ratio."""
+def level(series: SeriesFrames, methods: Sequence[str], pixel_arcsec: float) -> SeriesScatter:
+    """Temporal error of a series; the ratio is corrected for the small-sample factor of the measured values."""
     terms = [temporal_error(series.points.sigma_px(m), pixel_arcsec, series.frames) for m in methods]
     model = np.array([3.0 * pixel_arcsec * series.predicted_px(m).mean(0) for m in methods])
     value = np.array([term.arcsec for term in terms])
     error = np.array([series.widening(m) * term.uncertainty_arcsec for m, term in zip(methods, terms, strict=True)])
     unbiased = value / small_sample_factor(series.frames)
     low, high = scatter_interval(unbiased, error / value)
-    return Level(
+    return SeriesScatter(
         measured_arcsec=with_error(value, error, n=terms[0].n, unit="arcsec"),
         low_arcsec=low,
         high_arcsec=high,
@@ -50,9 +50,9 @@ def level(series: SeriesFrames, methods: Sequence[str], pixel_arcsec: float) -> 
 
 def reduce(folder: FrameFolder, methods: Sequence[str], config: Any = None) -> Reduced:
     """Temporal error of every series of a folder; errors as of `reduce_series`."""
-    series = [reduce_series(folder, one, methods, every_model=True) for one in folder.series]
-    levels = [level(one, methods, folder.settings.pixel_arcsec) for one in series]
-    return series, {"levels": levels, **points_of(folder, series[-1], methods[0])}
+    reduced = [reduce_series(folder, series, methods, every_model=True) for series in folder.series]
+    levels = [level(series, methods, folder.settings.pixel_arcsec) for series in reduced]
+    return reduced, {"levels": levels, **points_of(folder, reduced[-1], methods[0])}
 
 
 own_frames = FramesTest(
@@ -61,7 +61,7 @@ own_frames = FramesTest(
     reduce=reduce,
     sections={
         "levels": Section(
-            record=Level,
+            record=SeriesScatter,
             dim="series",
             table="temporal_error",
             rows="series method axis",

@@ -30,7 +30,7 @@ class BrightnessConfig(StrictModel):
         return self
 
 
-class Config(StarTargetConfig):
+class TemporalConfig(StarTargetConfig):
     """The published run; ACC18 states 25 stars, at least 30 frames and 5.5 arcsec per pixel."""
 
     frames: int = Field(default=100, ge=2, le=10000, description="frames per level (ACC18: at least 30)")
@@ -40,7 +40,7 @@ class Config(StarTargetConfig):
 
 rendered = Experiment(
     name="temporal",
-    config=Config,
+    config=TemporalConfig,
     run="experiment:run",
     sections="experiment:SECTIONS",
     axes="experiment:axes",

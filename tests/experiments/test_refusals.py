@@ -18,7 +18,7 @@ from PIL import Image
 from target_frames import HEAD, readout, spots, write
 
 from experiments.chromatic.own_frames import filter_frames
-from experiments.chromatic.settings import Config as ChromaticConfig
+from experiments.chromatic.settings import ChromaticConfig
 from experiments.dataset import workers
 from experiments.dataset.folder import DatasetFolder, check, file_digest
 from experiments.dataset.job import Job
@@ -28,7 +28,7 @@ from experiments.dataset.scene import build_scene
 from experiments.dataset.settings import DatasetConfig
 from experiments.dataset.truth_files import read_origin, read_record
 from experiments.distortion.own_frames import reduce as distortion
-from experiments.distortion.settings import Config as DistortionConfig
+from experiments.distortion.settings import DistortionConfig
 from experiments.harness.config import load_config
 from experiments.harness.progress import Progress
 from experiments.hsfe.own_frames import reduce as hsfe
@@ -38,7 +38,7 @@ from experiments.reduce.folder import read_folder
 from experiments.reduce.frames_toml import FolderLayout
 from experiments.temporal.own_frames import own_frames as temporal_test
 from experiments.temporal.own_frames import reduce as temporal
-from experiments.temporal.settings import Config as TemporalConfig
+from experiments.temporal.settings import TemporalConfig
 from experiments.twin.folder import night_frames
 from experiments.twin.pipeline import measure_night
 from experiments.twin.settings import TwinConfig

@@ -18,13 +18,13 @@ from render.records import EffectivePsf
 from render.sensor_file.instrument import Instrument
 
 ORDER = (5, 12)
-"""Rings and azimuths in the pupil."""
+"""Rings and azimuths of the rays in the pupil."""
 PREDICTION_NODES = 11
-"""Wavelength nodes of the predictions; another number than the renderer's on purpose."""
+"""Wavelength nodes of the predictions; not the renderer's number, as the two quadratures test each other."""
 
 
-def light_shares(bench: Bench, instrument: Instrument) -> tuple[FloatArray, FloatArray]:
-    """Wavelength nodes (b, k) of the predictions and the share of the light each stands for."""
+def node_weights(bench: Bench, instrument: Instrument) -> tuple[FloatArray, FloatArray]:
+    """Wavelength nodes (b, k) of the predictions, and the fraction of the detected photons at each."""
     nodes = band_nodes(bench.filters, PREDICTION_NODES)
     light = nodes.weight_nm * nodes.transmission * bench.lamp.photon_density(nodes.wavelength_nm)
     light = light * instrument.camera.response_at(nodes.wavelength_nm)
@@ -38,31 +38,31 @@ def expected_spots(
 
     Photon-weighted, by the NumPy trace alone: no renderer, image or noise takes part. NaN where no ray arrives.
     """
-    wavelength, share = light_shares(bench, instrument)
+    wavelength, weight = node_weights(bench, instrument)
     field_x, field_y = field_angles_deg(direction.reshape(-1, 3))
-    bent = bench.collimation(wavelength, instrument)
+    collimation = bench.collimation(wavelength, instrument)
     spot = spot_moments(
         instrument.camera.focused_lens,
         field_x,
         field_y,
         wavelength.ravel(),
         order=ORDER,
-        collimation=None if bent is None else bent.at(wavelength).reshape(-1, 3),
+        collimation=None if collimation is None else collimation.at(wavelength).reshape(-1, 3),
     )
-    return spots_of(spot, share, instrument, direction.shape[:2])
+    return spots_of(spot, weight, instrument, direction.shape[:2])
 
 
 def spots_of(
-    spot: SpotMoments, share: FloatArray, instrument: Instrument, shape: tuple[int, ...]
+    spot: SpotMoments, weight: FloatArray, instrument: Instrument, shape: tuple[int, ...]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """As `expected_spots`, from the moments of p j fields at all wavelengths of all bands and their shares (b, k)."""
-    camera, bands = instrument.camera, len(share)
-    spectrum = np.zeros((bands, *share.shape))
-    spectrum[np.arange(bands), np.arange(bands)] = share
+    """As `expected_spots`, from the moments of p j fields at all nodes of all bands, and the nodes' weights (b, k)."""
+    camera, bands = instrument.camera, len(weight)
+    spectrum = np.zeros((bands, *weight.shape))  # of band i: the weights of its own nodes, zero at those of the others
+    spectrum[np.arange(bands), np.arange(bands)] = weight
     light = photocentres_of(spot, spectrum.reshape(bands, -1))
-    place = np.stack(camera.to_pixel(light.x_mm, light.y_mm), axis=-1).reshape(*shape, bands, 2)
+    mean_px = np.stack(camera.to_pixel(light.x_mm, light.y_mm), axis=-1).reshape(*shape, bands, 2)
     radius_px = light.rms_radius_mm / camera.pixel_pitch_mm
-    return place, radius_px.reshape(*shape, bands), light.area_mm2.reshape(*shape, bands)
+    return mean_px, radius_px.reshape(*shape, bands), light.area_mm2.reshape(*shape, bands)
 
 
 def bundle_prediction(bench: Bench, instrument: Instrument, direction: FloatArray) -> FloatArray:
@@ -75,18 +75,18 @@ def target_windows(
     instrument: Instrument,
     direction: FloatArray,
     psf: Sequence[EffectivePsf],
-    place_px: FloatArray | None = None,
+    position_px: FloatArray | None = None,
     *,
     corner_px: NDArray[np.int64] | None = None,
     defect: NDArray[np.bool_] | None = None,
 ) -> ExpectedWindows:
-    """Windows around points (p, j, 3) behind the reference filter, at their traced images if no others are given."""
-    if place_px is None:
-        place_px = bundle_prediction(bench, instrument, direction)[:, :, bench.reference]
+    """Windows around points (p, j, 3) behind the reference filter, by default at their traced images."""
+    if position_px is None:
+        position_px = bundle_prediction(bench, instrument, direction)[:, :, bench.reference]
     chip = instrument.detector
     return expected_windows(
         psf,
-        place_px,
+        position_px,
         bench.signal_e,
         window_px=bench.window_px,
         corner_px=corner_px,

@@ -26,7 +26,7 @@ from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, agree, col, ratio_near
 from experiments.harness.summary import Measured, measured
 from experiments.laboratory.bench.point_bench import Bench
-from experiments.laboratory.bench.ray_prediction import ORDER, bundle_prediction, light_shares, spots_of
+from experiments.laboratory.bench.ray_prediction import ORDER, bundle_prediction, node_weights, spots_of
 from experiments.laboratory.settings.collimator import FilteredCollimatorConfig
 from optics.arrays import FloatArray
 from optics.frames import field_angles_deg
@@ -37,8 +37,8 @@ from optics.units import ARCSEC_RAD, DEG_RAD, UM_MM
 from render.sensor_file.instrument import Instrument
 
 PARTS = {"wedge": "wedge", "air": "air", "decollimation": "decollimation"}
-"""What moves the image by an angle that depends on the wavelength."""
-KELVIN = 273.15
+"""Causes of an image shift that depends on the wavelength."""
+KELVIN = 273.15  # 0 C
 MOTION_RATIO = 0.01
 """Relative error of a line-of-sight motion in addition to noise, for some sixty rays of each bundle."""
 SPOT_RATIO = 0.03
@@ -47,59 +47,58 @@ FIELD_RATIO = 0.03
 """Change of the image scale over the field, by distortion and the slope of its plane."""
 
 
-def closed_motion_px(bench: Bench, instrument: Instrument) -> dict[str, FloatArray]:
-    """Motion of the image (b, 2) [px] behind every filter by each of `PARTS`."""
+def closed_form_shift_px(bench: Bench, instrument: Instrument) -> dict[str, FloatArray]:
+    """Shift of the image (b, 2) [px] behind every filter by each of `PARTS`."""
     collimator, camera = bench.collimator, instrument.camera
-    none = np.zeros((len(bench.filters), 2))
-    found = dict.fromkeys(PARTS, none)
+    shift_px = dict.fromkeys(PARTS, np.zeros((len(bench.filters), 2)))
     if collimator is None:
-        return found
+        return shift_px
     config, f = collimator.config, collimator.config.focal_length_mm
-    wavelength, share = light_shares(bench, instrument)
-    px = instrument.focal_length_mm / camera.pixel_pitch_mm
+    wavelength, weight = node_weights(bench, instrument)
+    px_per_rad = instrument.focal_length_mm / camera.pixel_pitch_mm
     if isinstance(config, FilteredCollimatorConfig):
-        minus_one = (share * (get_glass(config.wedge_glass).index(wavelength) - 1.0)).sum(1)
-        wedge = [collimator.wedge.get(band.name, (0.0, 0.0)) for band in bench.filters]
-        turn = [collimator.wedge_lever * k * a * ARCSEC_RAD for k, (a, _) in zip(minus_one, wedge, strict=True)]
-        way = [(np.cos(at * DEG_RAD), np.sin(at * DEG_RAD)) for _, at in wedge]
-        found["wedge"] = px * np.array(turn)[:, None] * np.array(way)
+        n_minus_one = (weight * (get_glass(config.wedge_glass).index(wavelength) - 1.0)).sum(1)
+        wedge_arcsec, azimuth_deg = np.array([collimator.wedge.get(band.name, (0.0, 0.0)) for band in bench.filters]).T
+        deviation_rad = collimator.wedge_lever * n_minus_one * wedge_arcsec * ARCSEC_RAD
+        direction = np.stack([np.cos(azimuth_deg * DEG_RAD), np.sin(azimuth_deg * DEG_RAD)], axis=1)
+        shift_px["wedge"] = px_per_rad * deviation_rad[:, None] * direction
     air = camera.lens.environment
     if any(config.air_gradient_k_per_m):
-        thin = (share * (air_index(wavelength, air.temperature_c, air.pressure_hpa) - 1.0)).sum(1)
-        bend = config.air_path_m * thin / (KELVIN + air.temperature_c)
-        found["air"] = px * bend[:, None] * np.array(config.air_gradient_k_per_m)
-    behind = config.decollimation_um * UM_MM - (share * collimator.focus_mm(wavelength)).sum(1)
-    found["decollimation"] = px * (behind / f**2)[:, None] * np.array(config.offset_mm)
-    return found
+        n_minus_one = (weight * (air_index(wavelength, air.temperature_c, air.pressure_hpa) - 1.0)).sum(1)
+        rad_per_gradient = config.air_path_m * n_minus_one / (KELVIN + air.temperature_c)
+        shift_px["air"] = px_per_rad * rad_per_gradient[:, None] * np.array(config.air_gradient_k_per_m)
+    p_mm = config.decollimation_um * UM_MM - (weight * collimator.focus_mm(wavelength)).sum(1)
+    shift_px["decollimation"] = px_per_rad * (p_mm / f**2)[:, None] * np.array(config.offset_mm)
+    return shift_px
 
 
-def closed_spot_um(bench: Bench, instrument: Instrument, direction: FloatArray) -> FloatArray:
+def closed_form_spot_um(bench: Bench, instrument: Instrument, direction: FloatArray) -> FloatArray:
     """RMS radius (b,) [um] of the spots of points (p, j, 3): the camera refocused for every colour, and the disk."""
     collimator = bench.collimator
     assert collimator is not None
     config, camera = collimator.config, instrument.camera
-    wavelength, share = light_shares(bench, instrument)
+    wavelength, weight = node_weights(bench, instrument)
     field = field_angles_deg(direction.reshape(-1, 3))
-    behind = config.decollimation_um * UM_MM - collimator.focus_mm(wavelength).ravel()
-    moved = (instrument.focal_length_mm / config.focal_length_mm) ** 2 * behind
+    p_mm = config.decollimation_um * UM_MM - collimator.focus_mm(wavelength).ravel()
+    focus_mm = (instrument.focal_length_mm / config.focal_length_mm) ** 2 * p_mm
     spots = [
-        spot_moments(replace(camera, defocus_mm=camera.defocus_mm + shift).focused_lens, *field, wave, order=ORDER)
-        for shift, wave in zip(moved, wavelength.ravel(), strict=True)
+        spot_moments(replace(camera, defocus_mm=camera.defocus_mm + shift).focused_lens, *field, node_nm, order=ORDER)
+        for shift, node_nm in zip(focus_mm, wavelength.ravel(), strict=True)
     ]
-    every = {name: np.concatenate([getattr(one, name) for one in spots], axis=1) for name in SpotMoments.__slots__}
-    _, radius_px, _ = spots_of(SpotMoments(**every), share, instrument, direction.shape[:2])
+    moments = {name: np.concatenate([getattr(spot, name) for spot in spots], axis=1) for name in SpotMoments.__slots__}
+    _, radius_px, _ = spots_of(SpotMoments(**moments), weight, instrument, direction.shape[:2])
     disk_px = collimator.source_radius_rad / (instrument.pixel_arcsec * ARCSEC_RAD)
     return np.asarray(np.hypot(radius_px, disk_px / 2.0**0.5).mean((0, 1)) * camera.pixel_pitch_mm / UM_MM)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CollimatorShift:
-    """Contribution of the collimator to Table 1; the dimensions ``pair``, ``axis`` and ``band`` are described
-    elsewhere."""
+    """Contribution of the collimator to Table 1; the dimensions ``pair``, ``axis`` and ``band`` are those of
+    the experiment."""
 
-    part_px: FloatArray = col("Closed form", "px", "+.4f", "part pair axis")
-    together_px: FloatArray = col("Together", "px", "+.4f", "pair axis")
-    seen_px: Any = col("Measured", "px", dims="pair axis")
+    closed_form_px: FloatArray = col("Closed form", "px", "+.4f", "part pair axis")
+    closed_form_sum_px: FloatArray = col("Together", "px", "+.4f", "pair axis")
+    measured_px: Any = col("Measured", "px", dims="pair axis")
     spot_ratio: FloatArray | None = col(
         "Radius of the rendered spots over the closed form", dims="band", shown=False, default=None
     )
@@ -119,8 +118,8 @@ COLLIMATOR = Section(
     note="*Measured*: Table 1 of the frames minus Table 1 traced through the lens alone.",
     verdicts=[
         agree(
-            "seen_px",
-            "together_px",
+            "measured_px",
+            "closed_form_sum_px",
             slack=FIELD_RATIO,
             title="collimator in Table 1, measured against (n - 1) wedge, air and decollimation",
         ),
@@ -139,44 +138,42 @@ def collimator_shift(
     direction: FloatArray,
     table1_px: FloatArray,
     sigma_px: FloatArray,
-    seen_spot_um: FloatArray | None = None,
+    spot_um: FloatArray | None = None,
 ) -> CollimatorShift | None:
-    """Closed forms against measured Table 1 (pair, 2) and the spots (b,) of the light; None for a perfect one."""
+    """Closed forms against measured Table 1 (pair, 2) and spot radii (b,); None for a perfect collimator."""
     if bench.collimator is None:
         return None
     without = shifts(bundle_prediction(replace(bench, collimator=None), instrument, direction), bench.pairs)
-    motion = closed_motion_px(bench, instrument)
-    parts = np.array([[(of[high] - of[low]) / 2.0 for _, high, low in bench.pairs] for of in motion.values()])
-    seen = table1_px - np.array([table1(shift) for shift in without.values()])
-    ratio = None if seen_spot_um is None else seen_spot_um / closed_spot_um(bench, instrument, direction)
-    return CollimatorShift(part_px=parts, together_px=parts.sum(0), seen_px=measured(seen, sigma_px), spot_ratio=ratio)
+    parts = np.array(
+        [
+            [(shift_px[high] - shift_px[low]) / 2.0 for _, high, low in bench.pairs]
+            for shift_px in closed_form_shift_px(bench, instrument).values()
+        ]
+    )
+    difference_px = table1_px - np.array([table1(shift) for shift in without.values()])
+    ratio = None if spot_um is None else spot_um / closed_form_spot_um(bench, instrument, direction)
+    return CollimatorShift(
+        closed_form_px=parts,
+        closed_form_sum_px=parts.sum(0),
+        measured_px=measured(difference_px, sigma_px),
+        spot_ratio=ratio,
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sight:
-    """Motion of the line of sight in the laboratory, per axis, 3 sigma: closed form, and what the stars share."""
+class LineOfSight:
+    """Motion of the line of sight in the laboratory, per axis, 3 sigma: closed form, and motion common to the stars."""
 
-    between_arcsec: float = col(
-        "Line of sight from frame to frame, predicted",
-        "arcsec",
-        ".3f",
-    )
-    within_arcsec: float = col("Line of sight within a frame, predicted", "arcsec", ".3f")
-    seen_arcsec: Sequence[Measured] = col(
-        "Line of sight from frame to frame, measured",
-        "arcsec",
-        dims="axis",
-    )
+    frame_to_frame_arcsec: float = col("Line of sight from frame to frame, predicted", "arcsec", ".3f")
+    within_frame_arcsec: float = col("Line of sight within a frame, predicted", "arcsec", ".3f")
+    measured_arcsec: Sequence[Measured] = col("Line of sight from frame to frame, measured", "arcsec", dims="axis")
     ratio: Sequence[Measured] = col("Measured / predicted motion of the line of sight", dims="axis")
 
 
-SIGHT = Section(
-    record=Sight,
-    verdicts=[ratio_near("ratio", within=MOTION_RATIO)],
-)
+LINE_OF_SIGHT = Section(record=LineOfSight, verdicts=[ratio_near("ratio", within=MOTION_RATIO)])
 
 
-def sight_of(bench: Bench, instrument: Instrument, motion_px2: FloatArray) -> Sight | None:
+def line_of_sight(bench: Bench, instrument: Instrument, motion_px2: FloatArray) -> LineOfSight | None:
     """Motion common to the stars (levels, 2, 2) [px^2] against the integral of the spectrum.
 
     None for a line of sight at rest, or of a single star.
@@ -184,13 +181,13 @@ def sight_of(bench: Bench, instrument: Instrument, motion_px2: FloatArray) -> Si
     between, within = np.sqrt(bench.power_px2(instrument))
     if not between or not np.isfinite(motion_px2).all():
         return None
-    motion, own = motion_px2.mean(0)
-    scale, seen = 3.0 * instrument.pixel_arcsec, np.sqrt(np.maximum(motion, 0.0))
-    # of so many draws, each with what the mean of the stars' own errors leaves
-    part = (1.0 + own.mean() / between**2) / np.sqrt(2.0 * bench.frames * len(motion_px2))
-    return Sight(
-        between_arcsec=float(scale * between),
-        within_arcsec=float(scale * within),
-        seen_arcsec=measured(scale * seen, np.full(2, scale * between * part)),
-        ratio=measured(seen / between, np.full(2, part)),
+    variance_px2, star_mean_px2 = motion_px2.mean(0)
+    scale, motion_px = 3.0 * instrument.pixel_arcsec, np.sqrt(np.maximum(variance_px2, 0.0))
+    # of a standard deviation from so many frames, to which the mean error of the stars adds its variance
+    relative = (1.0 + star_mean_px2.mean() / between**2) / np.sqrt(2.0 * bench.frames * len(motion_px2))
+    return LineOfSight(
+        frame_to_frame_arcsec=float(scale * between),
+        within_frame_arcsec=float(scale * within),
+        measured_arcsec=measured(scale * motion_px, np.full(2, scale * between * relative)),
+        ratio=measured(motion_px / between, np.full(2, relative)),
     )

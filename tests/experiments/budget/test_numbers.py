@@ -1,22 +1,22 @@
 """Both sides of the budget: terms over places and surveys, ratios, pulls, sums; by hand and drawn."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from calib.accuracy.error_budget import ErrorTerm, combine
-from experiments.budget import predict as predict_module
 from experiments.budget.chromatic import ChromaticTerm, table1_of
 from experiments.budget.experiment import (
     TESTED,
     agreement,
-    pulls,
-    setup,
+    conditions,
+    deviations,
     tuned,
 )
 from experiments.budget.laboratory import build_laboratory, marking, places_px
-from experiments.budget.settings import Config
+from experiments.budget.settings import BudgetConfig
 from experiments.harness.config import load_config
 from experiments.laboratory.settings.published import ACC18_ARCSEC
 
@@ -24,15 +24,12 @@ PIXEL_ARCSEC = 5.5
 NAMES = ("TE", "HSFE", "LSFE-S", "LSFE-C1", "LSFE-C2")
 
 
-def value(arcsec, uncertainty, n=0):
-    return ErrorTerm(arcsec=np.array(arcsec, float), uncertainty_arcsec=np.array(uncertainty, float), n=n)
-
-
 def chromatic(x, sigma, n=0):
     return ChromaticTerm(
-        table1_px={"600-500": np.array([x, -0.02]), "800-600": np.array([0.01, 0.05])},
-        sigma_px={"600-500": np.array([sigma, 0.001]), "800-600": np.array([0.001, 0.002])},
-        rms_px={"600-500": np.array([0.3, 0.4]), "800-600": np.array([0.1, 0.2])},
+        pairs=("600-500", "800-600"),
+        table1_px=np.array([[x, -0.02], [0.01, 0.05]]),
+        sigma_px=np.array([[sigma, 0.001], [0.001, 0.002]]),
+        rms_px=np.array([[0.3, 0.4], [0.1, 0.2]]),
         pixel_arcsec=PIXEL_ARCSEC,
         n=n,
     )
@@ -42,22 +39,21 @@ def side(scale=1.0, uncertainty=0.03, table=None, n=0):
     """Terms 0.5, 0.3, S, 0.2, 0.4 times a factor, in x; twice of it in y."""
     table = table or chromatic(0.06, 0.003, n)
     sizes = zip(NAMES, scale * np.array([0.5, 0.3, 0.0, 0.2, 0.4]), strict=True)
-    term = {name: value([a, 2 * a], [uncertainty, uncertainty], n) for name, a in sizes}
+    term = {
+        name: ErrorTerm(arcsec=np.array([size, 2 * size]), uncertainty_arcsec=np.full(2, uncertainty), n=n)
+        for name, size in sizes
+    }
     term["LSFE-S"] = table.value()
     return SimpleNamespace(budget=combine(term, stars=4), chromatic=table)
 
 
 def test_largest_entry_of_table_1_is_the_term():
     table = chromatic(-0.06, 0.003, n=80)
-    assert table.largest() == ["600-500", "800-600"]
-    found = table.value()
-    assert (found.arcsec, found.uncertainty_arcsec) == (
-        pytest.approx(PIXEL_ARCSEC * np.array([0.06, 0.05])),
-        pytest.approx(PIXEL_ARCSEC * np.array([0.003, 0.002])),
-    )
-    assert found.n == 80
-    assert table.value(["800-600", "600-500"]).arcsec == pytest.approx(PIXEL_ARCSEC * np.array([0.01, 0.02]))
-    assert chromatic(1e-8, 0.0).value(["600-500"] * 2).arcsec[0] == 0.0  # rounding of a trace
+    term = table.value()
+    assert term.arcsec == pytest.approx(PIXEL_ARCSEC * np.array([0.06, 0.05]))
+    assert term.uncertainty_arcsec == pytest.approx(PIXEL_ARCSEC * np.array([0.003, 0.002]))
+    assert term.n == 80
+    assert not replace(table, table1_px=np.full((2, 2), 1e-8)).value().arcsec.any()  # rounding of a trace
     first, second = table1_of(chromatic(-0.05, 0.0), table)
     assert (first.pair, first.measured_px[0].value, first.measured_px[0].uncertainty) == ("600-500", -0.06, 0.003)
     assert (first.predicted_px[0], first.measured_px[0].n, second.rms_px[1]) == (-0.05, 80, 0.2)
@@ -65,36 +61,30 @@ def test_largest_entry_of_table_1_is_the_term():
 
 def test_deviations_of_both_sides():
     ours, theirs = side(1.2, 0.02, chromatic(0.07, 0.004)), side(1.0, 0.03, chromatic(0.06, 0.003))
-    entries = pulls(ours, theirs, "LSFE-S")
+    entries = deviations(ours, theirs, "LSFE-S")
     assert entries[0, 0] == pytest.approx(0.01 / 0.005)
     assert entries[1] == pytest.approx([0.0, 0.0])
     found = agreement(ours, theirs)
-    assert found.pull[TESTED.index("LSFE-S")] == pytest.approx([2.0, 0.0])
-    assert found.pull[TESTED.index("TE")] == pytest.approx(np.array([0.1, 0.2]) / np.hypot(0.02, 0.03))
-    assert found.whole[TESTED.index("HSFE")] == pytest.approx(np.array([0.36, 0.72]) / 0.02)
-    assert found.whole[TESTED.index("LSFE-C2")].tolist() == [0.0, 0.0]
-    assert found.together[0].value == pytest.approx(
+    assert found.deviation_sigma[TESTED.index("LSFE-S")] == pytest.approx([2.0, 0.0])
+    assert found.deviation_sigma[TESTED.index("TE")] == pytest.approx(np.array([0.1, 0.2]) / np.hypot(0.02, 0.03))
+    assert found.term_sigma[TESTED.index("HSFE")] == pytest.approx(np.array([0.36, 0.72]) / 0.02)
+    assert found.term_sigma[TESTED.index("LSFE-C2")].tolist() == [0.0, 0.0]
+    assert found.frame_terms_ratio[0].value == pytest.approx(
         np.linalg.norm([0.6, 0.36, 0.07 * PIXEL_ARCSEC]) / np.linalg.norm([0.5, 0.30, 0.06 * PIXEL_ARCSEC])
     )
 
 
 def test_an_aimed_budget_is_judged_by_the_published_one():
     seen = side(1.0, 0.03)
-    assert tuned(load_config(Config), seen) is None
-    aimed = tuned(load_config(Config, settings=["published_within_fraction=0.1"]), seen)
+    assert tuned(load_config(BudgetConfig), seen) is None
+    aimed = tuned(load_config(BudgetConfig, settings=["published_within_fraction=0.1"]), seen)
     assert aimed.over_published[0][0].value == pytest.approx(0.5 / ACC18_ARCSEC["TE"][0])
 
 
 def test_laboratory_of_the_settings():
     settings = ["steps.step_px=0.2", "steps.places=3", "grid.marking_error_arcsec=0.4", "hexapod.roll_error_arcsec=9"]
-    lab = build_laboratory(load_config(Config, settings=[*settings, "grid.reference=nominal", "grid.order=2"]))
-    # k = 6 terms take sqrt((k - 1) / (W - 1)) of the marking errors of W points
-    points = lab.config.grid.rows * lab.config.grid.columns
-    alone = 0.4 / lab.instrument.pixel_arcsec * np.sqrt(5.0 / (points - 1.0))
-    assert predict_module._marking_alone_px(lab) == pytest.approx([alone] * 2, rel=0.01)
+    lab = build_laboratory(load_config(BudgetConfig, settings=[*settings, "grid.reference=nominal", "grid.order=2"]))
     assert marking(lab).arcsec == pytest.approx([1.2, 1.2])
     assert len(places_px(lab)) == 3
-    named = setup(lab)
-    assert named.between_arcsec is None or named.between_arcsec >= 0.0
-    assert named.signal_e == lab.signal.signal_e
-    assert named.pixel_arcsec == pytest.approx(5.5, abs=0.1)
+    assert conditions(lab).frame_to_frame_arcsec is None  # a collimator at rest
+    assert conditions(lab).pixel_arcsec == pytest.approx(5.5, abs=0.1)

@@ -8,7 +8,7 @@ from calib.accuracy.attitude_from_stars import DirectionErrors
 from experiments.budget import attitude as attitude_module
 from experiments.budget.attitude import attitude_study
 from experiments.budget.laboratory import build_laboratory, half_field, moved_lens
-from experiments.budget.settings import AttitudeConfig, Config, MovedConfig
+from experiments.budget.settings import AttitudeConfig, BudgetConfig, MovedConfig
 from experiments.harness.config import load_config
 from experiments.harness.quantities import Outcome, Quantities
 from experiments.harness.run import configuration_file
@@ -30,7 +30,9 @@ def test_the_chromatic_term_in_x_is_a_slip_and_in_y_is_not():
 
 
 def test_override_reaches_camera_and_readout():
-    lab = build_laboratory(load_config(Config, settings=["detector.diffusion_sigma_um=2.75", "detector.prnu=0.02"]))
+    lab = build_laboratory(
+        load_config(BudgetConfig, settings=["detector.diffusion_sigma_um=2.75", "detector.prnu=0.02"])
+    )
     assert lab.instrument.camera.charge_diffusion_px == pytest.approx(0.5)
     detector = load_detector("acc18_mosaic")
     assert (lab.instrument.detector.prnu, lab.instrument.detector.read_noise_e) == (0.02, detector.read_noise_e)
@@ -60,7 +62,7 @@ def test_moved_element_shifts_the_image_as_its_power_says(star_camera):
 
 def test_named_configuration_changes_the_instrument_alone():
     """Nothing of the laboratory or of its tests is tuned."""
-    tuned = load_config(Config, file=configuration_file("acc18_tuned"))
+    tuned = load_config(BudgetConfig, file=configuration_file("acc18_tuned"))
     changed = tuned.model_dump(exclude_defaults=True)
     assert changed.keys() == {"source", "instrument", "moved", "centroid", "published_within_fraction"}
     assert (changed["source"].keys(), changed["instrument"].keys()) == ({"signal_e"}, {"defocus_mm"})
@@ -76,7 +78,7 @@ def test_verdict_notices_another_power_of_the_number_of_stars(star_camera, monke
     parts = zip(("random", "chromatic", "distortion"), (1.2, 0.3, 0.5), strict=True)
     errors = DirectionErrors(**{f"{name}_arcsec": np.full(2, size) for name, size in parts})
     studies = [attitude_study(half_field(star_camera), errors, settings, Streams(6)) for _ in range(2)]
-    np.testing.assert_array_equal(*(study["attitude_curve"][0].arcsec for study in studies))
+    np.testing.assert_array_equal(*(study["attitude_curve"][0].error_arcsec for study in studies))
     section, result = {"attitude": attitude_module.SECTIONS["attitude"]}, studies[0]
     quantities = described({**section}, Quantities(), {"attitude": result["attitude"]})
     (criterion,) = judged(section, Outcome(config=None, result=result, data=quantities.dataset))

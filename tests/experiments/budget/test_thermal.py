@@ -8,8 +8,8 @@ import pytest
 from experiments.budget import thermal
 from experiments.budget.experiment import axes
 from experiments.budget.laboratory import build_laboratory
-from experiments.budget.settings import Config
-from experiments.budget.thermal import PLACES, THERMAL, field_directions, thermal_term, warmed
+from experiments.budget.settings import BudgetConfig
+from experiments.budget.thermal import GRID, THERMAL, field_directions, thermal_term, warmed
 from experiments.harness.config import load_config
 from experiments.harness.quantities import Outcome
 from experiments.harness.sections import described, judged
@@ -22,7 +22,7 @@ QUICK = ["compare=[]", "frames=10", "dark_frames=20"]
 def test_the_image_grows_as_focal_length_and_housing_say(engine):
     """Per kelvin 33e-6 in aluminium and 25e-6 in titanium: figures of the lens that were found apart from this code."""
     for housing, expected in (("aluminium_6061", 33.0), ("titanium_ti6al4v", 25.0), ("invar_36", 21.0)):
-        lab = build_laboratory(load_config(Config, settings=[*QUICK, f"instrument.housing={housing}"]))
+        lab = build_laboratory(load_config(BudgetConfig, settings=[*QUICK, f"instrument.housing={housing}"]))
         direction = field_directions(lab)
         cold, warm = (
             bundle_prediction(end.bench, end.instrument, direction[None])[0, :, 0]
@@ -36,14 +36,14 @@ def test_the_image_grows_as_focal_length_and_housing_say(engine):
 @pytest.mark.parametrize("flipped", [False, True])
 def test_verdict_notices_a_lens_that_is_warmed_the_wrong_way(engine, monkeypatch, flipped):
     """Rationale: traced images with noise for frames. Expected: growth with temperature, or the verdict fails."""
-    lab = build_laboratory(load_config(Config, settings=[*QUICK, "thermal.stability_k=3"]))
+    lab = build_laboratory(load_config(BudgetConfig, settings=[*QUICK, "thermal.stability_k=3"]))
     noise = np.random.default_rng(3)
 
     def exact(lab, ends, direction, streams):
         found = [bundle_prediction(end.bench, end.instrument, direction[None])[0, :, 0] for end in ends]
         return [one + 0.005 * noise.standard_normal(one.shape) for one in found]
 
-    monkeypatch.setattr(thermal, "_images", exact)
+    monkeypatch.setattr(thermal, "_mean_centroids", exact)
     if flipped:
         right = thermal.warmed
         monkeypatch.setattr(thermal, "warmed", lambda lab, kelvin: right(lab, -kelvin))
@@ -59,7 +59,7 @@ def test_verdict_notices_a_lens_that_is_warmed_the_wrong_way(engine, monkeypatch
 @pytest.mark.slow
 def test_frames_show_the_growth(engine):
     settings = [*QUICK, "thermal.stability_k=3", "instrument.diffraction=rays"]
-    lab = build_laboratory(load_config(Config, settings=settings))
+    lab = build_laboratory(load_config(BudgetConfig, settings=settings))
     term = thermal_term(lab, Streams(5))
     seen, sigma = (
         np.array([getattr(m, part) for m in term.measured_scale_ppm_per_k]) for part in ("value", "uncertainty")
@@ -81,10 +81,10 @@ def test_stars_are_spread_over_the_detector_at_all_fractions_of_a_pixel(star_cam
     direction = field_directions(SimpleNamespace(instrument=star_camera))
     tangent = star_camera.focal_length_mm * direction[:, :2] / direction[:, 2:] / camera.pixel_pitch_mm
     pixel = tangent + np.array(camera.centre_px)
-    size = np.array([camera.width_px, camera.height_px]) / PLACES
+    size = np.array([camera.width_px, camera.height_px]) / GRID
     cell = np.floor((pixel + 0.5) / size).astype(int)
-    assert len(set(map(tuple, cell))) == PLACES[0] * PLACES[1]
-    assert (cell >= 0).all() and (cell < PLACES).all()  # noqa: PT018
+    assert len(set(map(tuple, cell))) == GRID[0] * GRID[1]
+    assert (cell >= 0).all() and (cell < GRID).all()  # noqa: PT018
     middle = (cell + 0.5) * size - 0.5
     assert ((pixel - middle) >= -1e-6).all()
     assert ((pixel - middle) < 1.0).all()

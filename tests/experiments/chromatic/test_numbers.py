@@ -10,14 +10,14 @@ from refusals import refuses
 
 from calib.accuracy.chromatic import band_pairs
 from experiments.chromatic.experiment import (
-    Lens,
+    LensTest,
     calibration,
     centroiders,
-    entries,
     points,
+    table1_entries,
 )
 from experiments.chromatic.perturbation import choose
-from experiments.chromatic.settings import Config
+from experiments.chromatic.settings import ChromaticConfig
 from experiments.laboratory.chromatic_error import ChromaticMeasurement
 from optics.errors import ConvergenceError, DomainError
 
@@ -29,7 +29,7 @@ def solution(element, kind, amount, moves=5.0):
 
 
 def chosen(*solutions, glasses=("N-BK7",), edge_px=150.0, **changes):
-    config = Config.model_validate({"decentre": changes})
+    config = ChromaticConfig.model_validate({"decentre": changes})
     bench = SimpleNamespace(target=SimpleNamespace(edge_px=edge_px), window_px=13)
     return choose(config, bench, SimpleNamespace(name="lens", glasses=glasses), solutions)
 
@@ -93,26 +93,26 @@ def lens(rng, *, common_px=0.0):
     )
     camera = SimpleNamespace(centre_px=np.array([1000.0, 600.0]))
     instrument = SimpleNamespace(pixel_arcsec=5.5, camera=camera)
-    return Lens(label="centred", bench=bench, instrument=instrument, frames=frames, traced_px=traced)
+    return LensTest(label="centred", bench=bench, instrument=instrument, frames=frames, traced_px=traced)
 
 
 @pytest.mark.parametrize("common_px", [0.0, 0.04])
 def test_table_1_of_frames_that_scatter_as_stated(common_px):
     """Half of the mean shift; stated errors are those of 600 tests, the squared pulls' too (known to 3 %)."""
     rng = np.random.default_rng(6)
-    made = [entries(lens(rng, common_px=common_px), published=False) for _ in range(600)]
+    made = [table1_entries(lens(rng, common_px=common_px), published=False) for _ in range(600)]
     one = made[0]
-    np.testing.assert_allclose(one.predicted_table1_px, [[-0.05, 0.0], [0.01, -0.15]], atol=1e-12)
-    values = np.array([[[cell.value for cell in row] for row in each.table1_px] for each in made])
-    sigma = np.array([[cell.uncertainty for cell in row] for row in one.table1_px])
+    np.testing.assert_allclose(one.predicted_px, [[-0.05, 0.0], [0.01, -0.15]], atol=1e-12)
+    values = np.array([[[cell.value for cell in row] for row in each.measured_px] for each in made])
+    sigma = np.array([[cell.uncertainty for cell in row] for row in one.measured_px])
     np.testing.assert_allclose(values.std(0), sigma, rtol=4.0 / np.sqrt(1200))
-    assert np.abs(values.mean(0) - one.predicted_table1_px).max() < 4.0 * sigma.max() / np.sqrt(600)
+    assert np.abs(values.mean(0) - one.predicted_px).max() < 4.0 * sigma.max() / np.sqrt(600)
     pulls = np.array([each.mean_squared_pull.value for each in made])
     stated = one.mean_squared_pull.uncertainty
     assert pulls.mean() == pytest.approx(1.0, abs=4.0 * stated / np.sqrt(600))
     assert pulls.std() == pytest.approx(stated, rel=0.2)
     assert (one.published_px, one.published_lsfe_arcsec) == (None, None)
-    assert one.table1_n == FRAMES * 24
+    assert one.frames_per_entry == FRAMES * 24
     largest = np.abs(values[0]).max(0)
     assert [each.value for each in one.lsfe_arcsec] == pytest.approx(5.5 * largest)
     which = np.abs(values[0]).argmax(0)
@@ -121,10 +121,10 @@ def test_table_1_of_frames_that_scatter_as_stated(common_px):
 
 def test_other_numbers_of_one_lens():
     this = lens(np.random.default_rng(7))
-    one = entries(this, published=True)
+    one = table1_entries(this, published=True)
     assert np.shape(one.published_px) == (2, 2)
-    cells = np.array([[[cell.value, cell.uncertainty] for cell in row] for row in one.pixels_table1_px])
-    np.testing.assert_allclose(cells[..., 0], one.predicted_table1_px, atol=1e-12)
+    cells = np.array([[[cell.value, cell.uncertainty] for cell in row] for row in one.noiseless_pixels_px])
+    np.testing.assert_allclose(cells[..., 0], one.predicted_px, atol=1e-12)
     # +- 0.01 px of 24 points in the last band: a standard error of the mean, halved
     np.testing.assert_allclose(
         cells[..., 1], [[0.0] * 2, [0.01 * np.sqrt(24 / 23) / np.sqrt(24) / 2.0] * 2], atol=1e-12
@@ -136,10 +136,10 @@ def test_other_numbers_of_one_lens():
     assert found.residual_px[1] == pytest.approx(found.traced_residual_px[1], abs=4.0 * SIGMA_PX / np.sqrt(FRAMES))
     by = centroiders(this, 1)
     assert by.noise_px == pytest.approx([SIGMA_PX, 0.3])
-    assert by.error_px == pytest.approx([SIGMA_PX / np.sqrt(FRAMES), 0.02], rel=0.3)
-    assert by.error_px[1] == pytest.approx(0.02)
-    np.testing.assert_allclose(by.table1_px[1], one.predicted_table1_px, atol=1e-12)
-    np.testing.assert_array_equal(by.along_px, by.table1_px[..., 1])
+    assert by.rms_error_px == pytest.approx([SIGMA_PX / np.sqrt(FRAMES), 0.02], rel=0.3)
+    assert by.rms_error_px[1] == pytest.approx(0.02)
+    np.testing.assert_allclose(by.table1_px[1], one.predicted_px, atol=1e-12)
+    np.testing.assert_array_equal(by.mean_shift_px, by.table1_px[..., 1])
     rows = points(this)
     assert rows.nominal_px.shape == (24, 2)
     np.testing.assert_allclose(rows.predicted_shift_px[1], np.tile(BANDS_PX[2] - BANDS_PX[1], (24, 1)), atol=1e-12)

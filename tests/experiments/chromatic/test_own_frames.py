@@ -52,12 +52,12 @@ def test_a_wedge_is_told_from_the_lens_by_filters_that_were_turned(monkeypatch):
         assert entry.uncertainty == pytest.approx(SIGMA_PX * np.sqrt(2.0 / 10 / 36) / 2.0)
     wedge = found["constants"][1].wedge_px
     assert [one.value for one in wedge] == pytest.approx(WEDGE_PX, abs=4.0 * wedge[0].uncertainty)
-    assert [one.told_text for one in found["constants"]] == ["yes", "yes"]
+    assert [one.separated_text for one in found["constants"]] == ["yes", "yes"]
     assert found["exchange"].exchanged == 0
     still = [series(rng, 0, nm) for nm in FILTERS_NM]
     found = reduced(monkeypatch, still)
     assert found["exchange"] is None
-    assert found["constants"][0].told_text.startswith("no: neither")
+    assert found["constants"][0].separated_text.startswith("no: neither")
 
 
 def test_exchanged_files_are_named(monkeypatch):
@@ -66,7 +66,7 @@ def test_exchanged_files_are_named(monkeypatch):
     first, second = every[6], every[7]
     first.light_per_s, second.light_per_s = second.light_per_s, first.light_per_s
     first.mean_e, second.mean_e = second.mean_e, first.mean_e
-    (said,) = reduced(monkeypatch, every)["exchange"].said
+    (said,) = reduced(monkeypatch, every)["exchange"].descriptions
     assert said.startswith("the files of 500 and 600 nm at place 'p2' (light of 600 over 500 nm is 0.833 there, 1.2")
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from calib.accuracy.distortion import distortion_statistics, grid_residual_px
 from experiments.distortion.experiment import target_record
-from experiments.distortion.settings import Config
+from experiments.distortion.settings import DistortionConfig
 from experiments.distortion.wide_field import REFERENCE, WideRun, wide_field
 from experiments.laboratory.distortion_error import grid_position
 
@@ -46,7 +46,7 @@ def test_residuals_less_the_prescription_are_noise_and_marking(small_camera):
     np.testing.assert_allclose(record.measured_arcsec, 3.0 * found.sigma_px)
     assert record.predicted_arcsec[2][1].value == pytest.approx(15.0)
     assert record.predicted_arcsec[2][1].uncertainty == pytest.approx(1.5)
-    np.testing.assert_allclose(record.marking_arcsec, 6.0 * three)
+    np.testing.assert_allclose(record.marking_error_arcsec, 6.0 * three)
     # frames of a lens with 10 % more distortion are noticed
     wrong = distortion_statistics(place, d + 0.1 * (expected - nominal), 3)
     frames.statistics = lambda *_: wrong
@@ -59,7 +59,7 @@ def test_residuals_less_the_prescription_are_noise_and_marking(small_camera):
 
 def test_the_share_of_pure_noise_that_a_polynomial_removes(star_camera):
     """Drawn noise at random points, a least-squares cubic of ten terms."""
-    config = Config()
+    config = DistortionConfig()
     record = target_record(config, star_camera, published=True)
     points, rng = config.target.rows * config.target.columns, np.random.default_rng(4)
     place = rng.uniform(-1.0, 1.0, (points, 2))
@@ -67,6 +67,8 @@ def test_the_share_of_pure_noise_that_a_polynomial_removes(star_camera):
         distortion_statistics(place, rng.standard_normal((points, 2)), config.order).sigma_px[2] for _ in range(400)
     ]
     share = np.sqrt(np.mean(np.square(removed)))
-    assert record.noise_removed_arcsec / record.marking_arcsec == pytest.approx(share, rel=4.0 / np.sqrt(800 * 9))
-    assert (record.points, record.terms, record.marking_arcsec) == (32, 10, pytest.approx(0.5))
+    assert record.marking_removed_arcsec / record.marking_error_arcsec == pytest.approx(
+        share, rel=4.0 / np.sqrt(800 * 9)
+    )
+    assert (record.points, record.terms, record.marking_error_arcsec) == (32, 10, pytest.approx(0.5))
     np.testing.assert_array_equal(record.size_px, [star_camera.camera.width_px, star_camera.camera.height_px])

@@ -54,29 +54,29 @@ def model(document, single):
 
 
 @pytest.fixture(scope="module")
-def seen():
+def frames():
     return drawn(np.random.default_rng(7))
 
 
-def test_independent_errors_show_sqrt_2_times_and_once(seen):
+def test_independent_errors_show_sqrt_2_times_and_once(frames):
     """Document: sqrt(2 (e^2 + s^2/N + light^2)); one position: e alone. Their counts give the limits."""
     share = np.sqrt(1.0 - 1.0 / STARS)
     document = np.sqrt(2.0 * (ERROR_PX**2 + NOISE_PX**2 / FRAMES + 0.005**2)) * share
-    found = steps(seen, model(2.0 * document, ERROR_PX), model(document, 0.5 * ERROR_PX), "cog")
+    found = steps(frames, model(2.0 * document, ERROR_PX), model(document, 0.5 * ERROR_PX), "cog")
     scale, limit = 3.0 * PIXEL_ARCSEC, 5.0 / np.sqrt(POSITIONS * STARS)
     for axis in range(2):
-        assert found.document_arcsec[axis].value == pytest.approx(scale * document[axis], rel=limit)
+        assert found.measured_arcsec[axis].value == pytest.approx(scale * document[axis], rel=limit)
         assert found.ratio[axis].value == pytest.approx(1.0, abs=limit)
         assert found.ratio[axis].uncertainty == pytest.approx(0.1)
-        assert found.ratio_before[axis].value == pytest.approx(0.5 * found.ratio[axis].value)
-        assert found.one_position_ratio[axis].value == pytest.approx(2.0, rel=limit)
+        assert found.prior_ratio[axis].value == pytest.approx(0.5 * found.ratio[axis].value)
+        assert found.single_position_ratio[axis].value == pytest.approx(2.0, rel=limit)
         assert found.predicted_arcsec[axis].value == pytest.approx(scale * document[axis])
-        assert found.predicted_before_arcsec[axis].uncertainty == pytest.approx(0.2 * scale * document[axis])
-    np.testing.assert_allclose(found.one_position_arcsec, scale * ERROR_PX, rtol=limit)
+        assert found.prior_predicted_arcsec[axis].uncertainty == pytest.approx(0.2 * scale * document[axis])
+    np.testing.assert_allclose(found.single_position_arcsec, scale * ERROR_PX, rtol=limit)
     both = np.sqrt(ERROR_PX**2 + 0.005**2)
-    np.testing.assert_allclose(found.halved_arcsec, scale * both, rtol=limit)
+    np.testing.assert_allclose(found.independent_position_arcsec, scale * both, rtol=limit)
     np.testing.assert_allclose(found.roll_arcsec, 0.5 * scale * document)
-    np.testing.assert_allclose(found.dark_arcsec, 0.25 * scale * document)
+    np.testing.assert_allclose(found.dark_frames_arcsec, 0.25 * scale * document)
 
 
 @pytest.mark.slow
@@ -91,27 +91,27 @@ def test_the_error_of_one_position_is_as_uncertain_as_its_noise_makes_it():
         shifted += one.photon_px + error + noise - shifted.mean(0)
         apart.append(one.single_px("cog"))
         exact = SimpleNamespace(**{**vars(model(ERROR_PX, ERROR_PX)), "position_rms_scatter_px": np.zeros(2)})
-        ratio = steps(one, exact, exact, "cog").one_position_ratio
+        ratio = steps(one, exact, exact, "cog").single_position_ratio
         told.append([part.uncertainty for part in ratio])
     np.testing.assert_allclose(np.mean(told, axis=0), np.std(apart, axis=0) / ERROR_PX, rtol=4.0 / np.sqrt(240))
 
 
-def test_causes_are_differences_of_runs(seen):
+def test_causes_are_differences_of_runs(frames):
     share = np.sqrt(1.0 - 1.0 / STARS)
     after = SimpleNamespace(method={"cog": model(ERROR_PX, ERROR_PX)})
-    found = dict(zip(CAUSE_NAMES, causes(seen, after, ["cog"]), strict=True))
+    found = dict(zip(CAUSE_NAMES, causes(frames, after, ["cog"]), strict=True))
     scale, limit = 3.0 * PIXEL_ARCSEC, 5.0 / np.sqrt(POSITIONS * STARS)
     np.testing.assert_allclose(found["prnu"].alone_arcsec[0], scale * 2**0.5 * share * ERROR_PX, rtol=limit)
-    np.testing.assert_allclose(found["prnu"].alone_position_arcsec[0], scale * ERROR_PX, rtol=limit)
-    np.testing.assert_allclose(found["prnu"].off_arcsec[0], scale * 2**0.5 * share * ERROR_PX, rtol=limit)
-    np.testing.assert_allclose(found["s_curve"].alone_position_arcsec[0], scale * 0.01, rtol=limit)
+    np.testing.assert_allclose(found["prnu"].single_position_alone_arcsec[0], scale * ERROR_PX, rtol=limit)
+    np.testing.assert_allclose(found["prnu"].switched_off_arcsec[0], scale * 2**0.5 * share * ERROR_PX, rtol=limit)
+    np.testing.assert_allclose(found["s_curve"].single_position_alone_arcsec[0], scale * 0.01, rtol=limit)
     assert not found["pattern"].alone_arcsec.any()
     of_frames = scale * np.sqrt(2.0 / FRAMES) * NOISE_PX * share
     np.testing.assert_allclose(found["temporal"].alone_arcsec[0], of_frames, rtol=1e-9)
     for number, cause in enumerate(CAUSES, 1):
-        np.testing.assert_allclose(found[cause].cause_predicted_arcsec[0], scale * number * ERROR_PX)
-    square = sum((found[one].alone_arcsec[0] ** 2 for one in CAUSES), of_frames**2 + scale**2 * seen.motion_px**2)
-    np.testing.assert_allclose(scale * seen.quadrature_px("cog"), np.sqrt(square))
+        np.testing.assert_allclose(found[cause].predicted_arcsec[0], scale * number * ERROR_PX)
+    square = sum((found[one].alone_arcsec[0] ** 2 for one in CAUSES), of_frames**2 + scale**2 * frames.motion_px**2)
+    np.testing.assert_allclose(scale * frames.quadrature_px("cog"), np.sqrt(square))
 
 
 @pytest.mark.parametrize("sigma", [0.25, 0.4])

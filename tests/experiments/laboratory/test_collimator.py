@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from scipy.special import erf, j1
 
 from calib.accuracy.chromatic import shifts, table1
-from experiments.chromatic.settings import Config
+from experiments.chromatic.settings import ChromaticConfig
 from experiments.laboratory.bench.point_bench import Bench
 from experiments.laboratory.bench.points import filter_scene, frame_light
 from experiments.laboratory.bench.ray_prediction import bundle_prediction, expected_spots
@@ -139,17 +139,17 @@ def test_motion_of_the_line_of_sight_over_its_prediction_scatters_as_stated():
     seen = np.hypot(0.02, 0.01) * rng.standard_normal((runs, 2, 30, 2))
     own = np.full((runs, 2, 2), 1e-4)
     every = np.stack([seen.var(2, ddof=1) - own, own], axis=2)  # levels, (motion, own), axes
-    found = [effects.sight_of(bench, instrument, one) for one in every]
-    assert (found[0].between_arcsec, found[0].within_arcsec) == pytest.approx((0.3, 0.15))
+    found = [effects.line_of_sight(bench, instrument, one) for one in every]
+    assert (found[0].frame_to_frame_arcsec, found[0].within_frame_arcsec) == pytest.approx((0.3, 0.15))
     ratio, stated = np.array([[(m.value, m.uncertainty) for m in one.ratio] for one in found]).transpose(2, 0, 1)
     assert (ratio**2).mean() == pytest.approx(1.0, abs=4.0 * 2.0 * stated.mean() / np.sqrt(2 * runs))
     assert ratio.std() == pytest.approx(stated.mean(), rel=4.0 / np.sqrt(4 * runs) + 0.03)
-    assert effects.sight_of(SimpleNamespace(power_px2=lambda _: (0.0, 0.0)), instrument, every[0]) is None
+    assert effects.line_of_sight(SimpleNamespace(power_px2=lambda _: (0.0, 0.0)), instrument, every[0]) is None
 
 
 @pytest.fixture(scope="module")
 def laboratory():
-    config = Config.model_validate(
+    config = ChromaticConfig.model_validate(
         {
             "instrument": {"detector": "cmv4000", "width_px": 700, "height_px": 500},
             "target": {"rows": 2, "columns": 2, "edge_px": 60.0},
@@ -196,15 +196,18 @@ def shift_of(laboratory):
 def apart_px(effect):
     """Largest deviation from the closed forms."""
     return max(
-        abs(seen.value - known) for seen, known in zip(effect.seen_px.flat, effect.together_px.flat, strict=True)
+        abs(seen.value - known)
+        for seen, known in zip(effect.measured_px.flat, effect.closed_form_sum_px.flat, strict=True)
     )
 
 
 def test_closed_forms_hold_and_are_constant_over_the_field(laboratory):
     effect = shift_of(laboratory)
-    assert apart_px(effect) < 0.03 * np.abs(effect.together_px).max()  # distortion changes the scale over the field
+    assert (
+        apart_px(effect) < 0.03 * np.abs(effect.closed_form_sum_px).max()
+    )  # distortion changes the scale over the field
     assert effect.spot_ratio == pytest.approx(1.0, abs=0.03)
-    assert np.abs(effect.part_px).max((1, 2)).min() > 0.01
+    assert np.abs(effect.closed_form_px).max((1, 2)).min() > 0.01
     bench, instrument, direction = laboratory
     without = shifts(bundle_prediction(replace(bench, collimator=None), instrument, direction), bench.pairs)
     seen = shifts(bundle_prediction(bench, instrument, direction), bench.pairs)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from experiments.camera.settings import Config as Camera
-from experiments.chromatic.settings import Config as Chromatic
+from experiments.chromatic.settings import ChromaticConfig
 from experiments.harness.config import load_config
 from experiments.skycal.settings import Config as SkyCal
 from render.sensor_file.instrument import build_instrument
@@ -47,17 +47,19 @@ def lens(tmp_path):
 def test_band_and_window_are_those_of_the_file_unless_the_user_says_others(lens):
     """Three wavelengths are in use (FTYP), the third has no weight; 4 deg at f = 96.7 mm are 6.8 mm of radius."""
     setting, chip = f"instrument.lens={lens}", "instrument.detector=cmv4000"
-    plain = load_config(Chromatic)
-    config = load_config(Chromatic, settings=[setting, chip])
+    plain = load_config(ChromaticConfig)
+    config = load_config(ChromaticConfig, settings=[setting, chip])
     assert config.passband.range_nm == (520.0, 600.0)
     assert config.filters == plain.filters  # the bench has filters of its own
     camera = build_instrument(config.instrument).camera
     radius_mm = np.hypot(camera.width_px, camera.height_px) / 2 * camera.pixel_pitch_mm
     assert np.degrees(np.arctan(radius_mm / 96.7)) == pytest.approx(4.0, abs=0.05)
-    said = load_config(Chromatic, settings=["passband.range_nm=[500, 700]", setting, chip, "instrument.width_px=300"])
+    said = load_config(
+        ChromaticConfig, settings=["passband.range_nm=[500, 700]", setting, chip, "instrument.width_px=300"]
+    )
     assert said.passband.range_nm == (500.0, 700.0)
     assert (said.instrument.width_px, said.instrument.height_px) == (300, 0)
-    assert load_config(Chromatic, settings=["instrument.lens=petzval_100mm"]).passband == plain.passband
+    assert load_config(ChromaticConfig, settings=["instrument.lens=petzval_100mm"]).passband == plain.passband
 
 
 def test_a_sensor_file_takes_them_too_and_reports_say_so(lens, tmp_path):

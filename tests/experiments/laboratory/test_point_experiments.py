@@ -20,7 +20,7 @@ FEW = {
     "distortion": ["target.rows=3", "target.columns=3", "target.edge_px=40", "order=1", "map_rows=5", "surveys=4"],
 }
 PIXEL = {
-    "temporal": "frames.pixel_arcsec",
+    "temporal": "test.pixel_arcsec",
     "hsfe": "test.pixel_arcsec",
     "chromatic": "bench.pixel_arcsec",
     "distortion": "target.pixel_arcsec",

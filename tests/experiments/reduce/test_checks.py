@@ -20,7 +20,7 @@ from experiments.reduce.checks import check_frames
 from experiments.reduce.folder import read_folder
 from experiments.reduce.poses import FIT, PoseFit
 from experiments.temporal.own_frames import reduce
-from experiments.temporal.settings import Config, experiment
+from experiments.temporal.settings import TemporalConfig, experiment
 
 PLACES = np.array([(25.0 + 22.3 * i, 25.0 + 22.2 * j) for j in range(3) for i in range(3)])
 SIZE, FRAMES, SIGMA = 92, 30, 1.1
@@ -38,7 +38,7 @@ def judged(folder, frames, *, gain=GAIN, offset=OFFSET, centroid="gaussian", mor
         f"gain_dn_per_e = {gain}\noffset_dn = {offset}\nread_noise_e = {READ}\npixel_arcsec = 5.5\npoints = 9\n{more}"
         '[[series]]\nfiles = "cube.fits"\nname = "still"\n'
     )
-    config = Config(own_frames=str(folder), centroid=centroid, compare=())
+    config = TemporalConfig(own_frames=str(folder), centroid=centroid, compare=())
     own = experiment.instead(config)
     outcome = own.outcome(config, own.run(config, progress=Progress()))
     return {one.name: one for one in own.judge(outcome)}, outcome

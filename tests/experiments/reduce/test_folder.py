@@ -11,7 +11,7 @@ from target_frames import HEAD, readout, spots, write
 
 from experiments.chromatic.own_frames import filter_frames as chromatic_from_frames
 from experiments.chromatic.own_frames import own_frames as chromatic_own_frames
-from experiments.chromatic.settings import Config as ChromaticConfig
+from experiments.chromatic.settings import ChromaticConfig
 from experiments.laboratory.bench.points import filter_scene, nominal_px, point_scene
 from experiments.laboratory.temporal_error import measure_temporal, target_place
 from experiments.reduce.checks import check_frames

@@ -72,7 +72,7 @@ def test_a_folder_becomes_a_report(name, folder, capsys, tmp_path, engine):
     assert status == 0, text
     results = reported(tmp_path / "out")
     if name == "hsfe":  # 48 differences of means of 4 x 16 centroids of some 0.05 px
-        shifts = [shift["x"] for shift in results["positions"]["seen_px"]["value"]]
+        shifts = [shift["x"] for shift in results["positions"]["measured_px"]["value"]]
         np.testing.assert_allclose(shifts, [0.0, 0.2, 0.4], atol=0.05)
     if name == "distortion":
         assert set(results["grid"]["sigma_d_arcsec"]["value"]["cog"]) == {"nominal", "aligned", "calibrated"}
@@ -90,9 +90,9 @@ def test_a_known_polynomial_is_found_and_removed(capsys, tmp_path, engine):
     status, said = run("distortion", folder, text, capsys, "--set", "order=2", out=tmp_path / "out")
     assert status == 0, said
     grid = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))["results"]["grid"]
-    sigma = {name: grid[f"sigma_{name}_arcsec"]["value"]["gaussian"]["nominal"] for name in ("d", "c1", "left")}
+    sigma = {name: grid[f"sigma_{name}_arcsec"]["value"]["gaussian"]["nominal"] for name in ("d", "c1", "dd")}
     noise = 3.0 * 5.5 * 0.025 / np.sqrt(frames)  # some 0.02 px a frame, and the fit's own error within a pixel
     for axis, injected in zip("xy", 3.0 * 5.5 * moved.std(axis=0, ddof=1), strict=True):
         for name in ("d", "c1"):
             assert sigma[name][axis] == pytest.approx(injected, abs=4.0 * noise / np.sqrt(len(PLACES)))
-        assert sigma["left"][axis] < 2.0 * noise
+        assert sigma["dd"][axis] < 2.0 * noise

@@ -56,9 +56,11 @@ def test_ratios_leave_out_the_small_sample_factor(records, level):
     assert found.magnitude_mag == pytest.approx(5.0 + (0.0, 2.5 * np.log10(4.0))[level])
     np.testing.assert_allclose(found.predicted_arcsec[0], true)
     np.testing.assert_allclose(found.predicted_linear_arcsec[0], 1.1 * true)
-    np.testing.assert_allclose(found.bound_arcsec, 0.5 * true)
+    np.testing.assert_allclose(found.cramer_rao_arcsec, 0.5 * true)
     chance = 1.0 / np.sqrt(2.0 * (FRAMES - 1) * STARS)
-    for one, over, seen, value in zip(found.ratio[0], found.over_bound[0], found.measured_arcsec[0], true, strict=True):
+    for one, over, seen, value in zip(
+        found.ratio[0], found.over_cramer_rao[0], found.measured_arcsec[0], true, strict=True
+    ):
         assert one.value == pytest.approx(1.0, abs=4.0 * chance)
         assert over.value == pytest.approx(2.0 * one.value)
         assert seen.value == pytest.approx(one.value * value * (1.0 - 1.0 / (4.0 * (FRAMES - 1))), rel=1e-3)
@@ -75,5 +77,5 @@ def test_star_by_star(records):
         [[(m.value - p) / m.uncertainty for m, p in zip(s.sigma_px, s.predicted_px, strict=True)] for s in every]
     )
     assert np.sqrt((pulls**2).mean()) == pytest.approx(1.0, abs=4.0 / np.sqrt(4 * STARS))
-    np.testing.assert_allclose([s.bound_px for s in every], 0.5 * TRUE_PX[0])
+    np.testing.assert_allclose([s.cramer_rao_px for s in every], 0.5 * TRUE_PX[0])
     np.testing.assert_array_equal([s.light_px for s in every], records[0].light.photon_px)
