@@ -8,19 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.calibration.calibrate import calibrate
-from calib.calibration.observations import Observations
-from calib.cameras.base import SensorGeometry
-from calib.cameras.brown_conrady import BrownConrady
+from calib import BrownConrady, Observations, SensorGeometry, calibrate
 
 GEOMETRY = SensorGeometry(width_px=1024, height_px=1024, pixel_pitch_mm=0.01)
-DISTORTION = {
-    "q1_per_mm2": 2e-4,
-    "q2_per_mm4": -4e-7,
-    "q3_per_mm6": 1e-8,
-    "p1_per_mm": 2e-4,
-    "p2_per_mm": 2e-4,
-}
+DISTORTION = {"q1_per_mm2": 2e-4, "q2_per_mm4": -4e-7, "q3_per_mm6": 1e-8, "p1_per_mm": 2e-4, "p2_per_mm": 2e-4}
 CAMERA = BrownConrady.create(GEOMETRY, focal_length_mm=25.6, x0_px=10.0, y0_px=-10.0, **DISTORTION)
 START = BrownConrady.create(GEOMETRY, focal_length_mm=20.0)  # start values of ACF17, table 2
 NARROW = BrownConrady.create(GEOMETRY, focal_length_mm=83.0, x0_px=10.0, y0_px=-10.0)  # 7 deg

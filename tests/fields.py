@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from render.catalogue.record import StarCatalog
-from render.records import StarField
+from render import StarCatalog, StarField
 
 
 def star_catalog(count: int = 5, seed: int = 2, **changes: Any) -> StarCatalog:

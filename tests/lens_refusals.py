@@ -13,6 +13,7 @@ from lens_texts import (
     BACK,
     FACE,
     GLASS_TEXT,
+    MINIMAL,
     PLATE,
     SEQ_SINGLET,
     STOP,
@@ -20,15 +21,15 @@ from lens_texts import (
     TOML_HEAD,
     TRIPLET,
     ZMX_SINGLET,
+    coated,
     loaded,
     measured,
-    surface_text,
     table_lens,
     written,
 )
 from refusals import Row, rows
 
-from optics import LensFile, decentre, load_lens, paraxial, read_lens_file, tilt, trace_pupil
+from optics import Conic, Film, LensFile, Plane, Shape, decentre, load_lens, paraxial, read_lens_file, tilt, trace_pupil
 from optics.errors import ConfigError, DomainError, StarbenchError
 from optics.export.write import write_lens, write_measured_lens
 from optics.fits import image_header
@@ -37,7 +38,6 @@ from optics.glass.absolute_index import Environment
 from optics.glass.agf import read_agf
 from optics.glass.air import air_index
 from optics.glass.catalogue import Glass, get_glass, glass_from_table, list_glasses
-from optics.glass.coating import Film
 from optics.glass.dispersion import Dispersion
 from optics.glass.index_database import read_material
 from optics.glass.thermal_index import ThermalDispersion
@@ -45,13 +45,10 @@ from optics.lens.heated_lens import Housing, Mount, ThermalState, heated_lens, w
 from optics.lens.ideal_lens import ideal_lens, measured_lens
 from optics.lens.movement import moved_element
 from optics.lens.perturb import change_index, change_shape, change_temperature
-from optics.lens.shapes.base import Shape
 from optics.lens.shapes.biconic import Biconic
-from optics.lens.shapes.conic import Conic
 from optics.lens.shapes.even_asphere import EvenAsphere
 from optics.lens.shapes.forbes_asphere import Qcon
 from optics.lens.shapes.odd_asphere import OddAsphere
-from optics.lens.shapes.plane import Plane
 from optics.lens.shapes.sphere import Sphere
 from optics.lens.shapes.thin_lens import ThinLens
 from optics.lens.shapes.toroid import Toroid
@@ -92,10 +89,6 @@ def material(kind: str, *numbers: str) -> Callable[[Path], Any]:
     return lambda folder: read_material(written(folder, f"DATA:\n  - type: {kind}\n    {data}", "a.yml"))
 
 
-def coated(**more: object) -> Any:
-    return table_lens(*(more.pop("surface", PLATE)), **more)  # type: ignore[misc]
-
-
 def coating_table(**more: object) -> Any:
     table = {"kind": "table", "source": "test", "wavelength_nm": [400.0, 700.0], **more}
     return coated(coating={"ar": table}, default_coating="ar")
@@ -107,7 +100,6 @@ AIR = [
         DomainError,
         air_index,
         (550.0, {"temperature_c": 200.0}, ["200 C", "-100 ... 140"]),
-        (550.0, {"temperature_c": NAN}, ["nan"]),
         (550.0, {"pressure_hpa": -1.0}, ["-1 hPa", "0 ... 2000"]),
         (550.0, {"humidity": 1.5, "formula": "ciddor"}, ["1.5", "0 ... 1"]),
         (550.0, {"co2_ppm": -1.0, "formula": "ciddor"}, ["-1 ppm"]),
@@ -125,7 +117,7 @@ GLASS = [
     *rows(
         DomainError,
         get_glass("N-BK7").index,
-        *(([500.0, v], {}, [f"{v:g} nm", "N-BK7", "300 ... 2500 nm"]) for v in (250.0, 3000.0, NAN, INF, -500.0)),
+        *(([500.0, v], {}, [f"{v:g} nm", "N-BK7", "300 ... 2500 nm"]) for v in (250.0, 3000.0, NAN)),
     ),
     *rows(DomainError, get_glass("N-BK7").internal_transmittance, (500.0, -1.0, {}, ["path -1 mm"])),
     *rows(DomainError, get_glass("MgF2").internal_transmittance, (500.0, 1.0, {}, ["no internal transmittance"])),
@@ -168,11 +160,8 @@ MATERIALS: list[Row] = [
         ("tabulated nk", ("0.3 1e300 0", "0.4 1.5 0"), "beyond a million"),
         ("tabulated n", ("0.3 1.5", "0.4 1.9", "0.5 1.5", "0.6 1.9", "0.7 1.5", "0.8 1.9", "0.9 1.5"), "too rough"),
         ("formula 3", ("2 1 -9999",), "(2.0, 1.0, -9999.0)"),
-        ("formula 3", ("2 1 2147483648",), "(2.0, 1.0, 2147483648.0)"),
         ("formula 4", ("2 1 0 -1 0.5",), "(2.0, 1.0, 0.0, -1.0, 0.5)"),
-        ("formula 4", ("2 1 0 1e300 2",), "1e+300, 2.0)"),
         ("formula 6", ("0 1 0",), "(0.0, 1.0, 0.0)"),
-        ("formula 6", ("0 1 1e-320",), "cannot have"),
         ("formula 7", ("1 2 3",), "larger than that of any glass"),
         ("formula 8", ("1",), "formula 8"),
     )
@@ -302,11 +291,6 @@ SURFACES = [
         ({}, ["the medium behind a mirror must be the one in front of it"]),
     ),
 ]
-MINIMAL = (
-    'name = "one"\nsource = "test"\ndesign_wavelength_nm = 600.0\nmax_field_deg = 2.0\n[stop]\nz_mm = -1.0\n'
-    f"semi_diameter_mm = 5.0\n{surface_text(50.0, 5.0, 'N-BK7', 6.0)}"
-    '[[surface]]\nthickness_mm = 90.0\nmedium = "air"\nsemi_diameter_mm = 6.0\n'
-)
 STOP_TABLE = "[stop]\nz_mm = -1.0\nsemi_diameter_mm = 5.0\n"
 ALONE = '[[surface]]\nthickness_mm = 4.6\nmedium = "air"\n\n[stop]\nz_mm = 750.0\nsemi_diameter_mm = 3.9\n'
 OPEN_STOP = TRIPLET.replace("semi_diameter_mm = 3.9\n", "")
@@ -345,14 +329,11 @@ LENS_TOML = [
         ("= 3.26", "= -22.0", "surface 0: thickness_mm = -22 mm of N-SK16"),
         ("= 6.0", "= -3.0", "surface 1 and surface 2 cross: at 5 mm", "overlap by 3.5"),
         ("= 3.26", "= 0.5", "surface 0 and surface 1 cross: at 9.5 mm", "N-SK16 between them would be -1.7"),
-        ("= 7.5", "= 15.0", "surface 5 and surface 6 cross: at 15 mm", "N-SK16 between them would be -6.2"),
         ("= 1.0\n", "= 0.0\n", "N-F2 between surface 2 and surface 3 has no thickness on the axis"),
         ("= 3.9", "= 100.0", "surface 4, has semi_diameter_mm = 100 mm", "surface 2 leaves only 4.9"),
-        ("= 22.0", "= 22.0\nasphere = [1.0]", "surface 0 and surface 1 cross"),
         ("= -18.4", BEYOND, "surface 6, the last, reaches the image plane, 42.2 mm"),
         ("= 3.26", "= 3.26e300", "surface.0.thickness_mm = 3.26e+300", "at most 1e+06"),
         ("= 3.26", "= true", "surface.0.thickness_mm = True: a number is needed"),
-        ("= 22.0", "= '22.0'", "surface.0.radius_mm = '22.0': a number is needed"),
         ("stop = true", "stop = 'yes'", "surface.4.stop = 'yes': true or false is needed"),
         ("= 22.0", "= 22.0\ntilt_deg = [true, 0.0]", "surface.0.tilt_deg.0 = True: a number is needed"),
         (STOP_TEXT, STOP_TEXT + GLASS_TEXT, "no surface is of glass.NAME"),
@@ -442,36 +423,19 @@ LENS_FILES: list[Row] = [
     ("write folder", writes("nowhere/lens.zmx"), ConfigError, ["cannot be written"]),
     ("write measured", lambda f: write_measured_lens(measured(), f / "a.zmx"), ConfigError, [".toml"]),
     ("seq kind", writes("a.seq", **FORBES), ConfigError, ["'qbfs' cannot be written as .seq"]),
-    (
-        "seq aperture",
-        writes("a.seq", aperture=[VANES]),
-        ConfigError,
-        ["spider"],
-    ),
-    (
-        "seq centres",
-        writes("a.seq", semi_diameter_mm=9.0, aperture=[SHIFTED]),
-        ConfigError,
-        ["centre"],
-    ),
+    ("seq aperture", writes("a.seq", aperture=[VANES]), ConfigError, ["spider"]),
+    ("seq centres", writes("a.seq", semi_diameter_mm=9.0, aperture=[SHIFTED]), ConfigError, ["centre"]),
     ("zmx apertures", writes("a.zmx", aperture=TWO), ConfigError, ["single aperture"]),
     ("zmx rotated", writes("a.zmx", aperture=[{**TWO[0], "angle_deg": 5.0}]), ConfigError, ["rotated aperture"]),
-    (
-        "zmx polygon",
-        writes("a.zmx", aperture=[CORNERS]),
-        ConfigError,
-        ["polygon"],
-    ),
+    ("zmx polygon", writes("a.zmx", aperture=[CORNERS]), ConfigError, ["polygon"]),
     *edited(
         ZMX_SINGLET,
         "a.zmx",
         ("SURF 2", "SURF 1", "line 29", "missing or repeated"),
-        ("SURF 2", "SURF 4", "missing or repeated"),
         ("UNIT MM", "UNIT FURLONG", "line 4", "'FURLONG'", "INCH"),
         ("N-BK7", "UNOBTAINIUM", "line 27", "'UNOBTAINIUM'"),
         ("DISZ 5.0", "DISZ five", "'five'"),
         ("DISZ 5.0", "DISZ INFINITY", "infinite"),
-        ("DISZ 5.0", "DISZ NAN", "'NAN'"),
         ("DISZ 5.0", "DISZ", "is missing"),
         ("ENPD 10.0", "ENPD -3", "aperture of -3"),
         ("ENPD 10.0", "OBNA 0.1", "object-side NA 0.1"),
@@ -493,9 +457,6 @@ LENS_FILES: list[Row] = [
             for kind, *words in (
                 ("BINARY_2",),
                 ("GRINSUR1",),
-                ("DGRATING",),
-                ("NONSEQCO",),
-                ("HOLOGRM1",),
                 ("PARAXIAL", "focal length 0"),
                 ("QED_TYPE\n  XDAT 1 2", "type than 0"),
                 ("QED_TYPE\n  XDAT 2 300", "300 terms"),
@@ -556,12 +517,7 @@ def singlet(folder: Path) -> Any:
 
 LENS_FILES += [
     ("radii or curvatures", undecided, ConfigError, ["RDM Y"]),
-    (
-        "label in shape",
-        lambda f: change_shape(singlet(f), 1, "bend", 0.1),
-        DomainError,
-        ["(line 29)", "bend"],
-    ),
+    ("label in shape", lambda f: change_shape(singlet(f), 1, "bend", 0.1), DomainError, ["(line 29)", "bend"]),
     ("label in tilt", lambda f: tilt(singlet(f), 9, 0.5), ConfigError, ["index 9", "surface 1 (line 22)"]),
     ("label in paraxial", lambda f: paraxial(tilt(singlet(f), 1, 0.5)), DomainError, ["surface 2 (line 29) is tilted"]),
 ]

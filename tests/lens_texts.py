@@ -89,6 +89,11 @@ TRIPLET = "".join(
     )
 )
 """A Cooke triplet."""
+MINIMAL = (
+    'name = "one"\nsource = "test"\ndesign_wavelength_nm = 600.0\nmax_field_deg = 2.0\n[stop]\nz_mm = -1.0\n'
+    f"semi_diameter_mm = 5.0\n{surface_text(50.0, 5.0, 'N-BK7', 6.0)}"
+    '[[surface]]\nthickness_mm = 90.0\nmedium = "air"\nsemi_diameter_mm = 6.0\n'
+)
 GLASS_TEXT = """
 [glass.NAME]
 source = "none"
@@ -149,3 +154,20 @@ def table_lens(*surfaces: dict[str, object], folder: Path | str = ".", **more: o
 
 def measured(**changes: object) -> MeasuredLens:
     return measured_from_table({**MEASURED, **changes}, "test")
+
+
+def coated(**more: object) -> LensSystem:
+    """A plane plate with more keys."""
+    return table_lens(*(more.pop("surface", PLATE)), **more)  # type: ignore[misc]
+
+
+def plate_lens(tilt_deg: float = 0.0) -> LensSystem:
+    """A plane plate in front of an ideal lens of 50 mm."""
+    face = {"kind": "plane", "semi_diameter_mm": 40.0, "tilt_deg": [tilt_deg, 0.0]}
+    thin = {"kind": "paraxial", "focal_length_mm": 50.0, "semi_diameter_mm": 5.0, "stop": True}
+    return table_lens(
+        {**face, "thickness_mm": 5.0, "medium": "N-BK7"},
+        {**face, "thickness_mm": 20.0, "medium": "air"},
+        {**thin, "thickness_mm": 50.0, "medium": "air"},
+        design_wavelength_nm=550.0, max_field_deg=5.0,
+    )  # fmt: skip

@@ -3,10 +3,9 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib import BrownConrady, SensorGeometry
 from calib.calibration.star_bench import StarBench, star_direction
 from calib.calibration.table_axes import TableAxes
-from calib.cameras.base import SensorGeometry
-from calib.cameras.brown_conrady import BrownConrady
 
 SENSOR = SensorGeometry(width_px=2048, height_px=2048, pixel_pitch_mm=0.0055)
 MODEL = BrownConrady.create(SENSOR, focal_length_mm=40.0, x0_px=5.0, y0_px=-3.0, q1_per_mm2=1e-4, p1_per_mm=1e-5)

@@ -40,7 +40,7 @@ EXPERIMENTS = {path.parent.name for path in ROOT.glob("experiments/*/__init__.py
 ORDER["experiments"] = f"harness < laboratory < reduce < doctor frame {' '.join(sorted(EXPERIMENTS))} < __main__"
 # Names that one room may take from another one in spite of the order, by the importing room.
 EXCEPTIONS: dict[str, set[str]] = {
-    "experiments.harness": {"experiments"},  # where the registry looks for them
+    "experiments.harness": {"experiments"}  # where the registry looks for them
 }
 # What an experiment may take of another one, whose inside it does not know: its declaration, to run it and read its
 # numbers, tables and figures by name.

@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 from star_images import NOISE, gaussian_stars, image_of, stamps_of
 
-from calib.figures import draw_residuals, mark_stars, show_image, star_marks
-from calib.flags import StarFlag
-from calib.measure.centroiding.registry import get_centroider
+from calib import StarFlag, draw_residuals, get_centroider, mark_stars, show_image, star_marks
 
 X, Y = np.array([4.8, 5.1, 5.3]), np.array([5.2, 4.9, 5.0])
 

@@ -12,7 +12,7 @@ from calibration_scene import CAMERA, DISTORTION, GEOMETRY, START, Scene, make_s
 from scipy.spatial.transform import Rotation
 from star_images import NOISE, frame_of, gaussian_epsf, gaussian_stars, image_of, stamps_of
 
-from calib import Calibration, Observations, Polynomial, SensorGeometry, calibrate, solve_wahba
+from calib import Calibration, Observations, Polynomial, SensorGeometry, StarFlag, bound, calibrate, detect, solve_wahba
 from calib.accuracy import distortion, ecss_metrics
 from calib.accuracy.high_frequency import step_residual_px
 from calib.attitude.association import match_stars
@@ -25,7 +25,6 @@ from calib.attitude.tracker import StarTracker, guide_catalogue
 from calib.attitude.triad import triad
 from calib.calibration.attitude_correlated import AttitudeCorrelated
 from calib.calibration.camera_order import OrderValidation, simplest_adequate
-from calib.calibration.cramer_rao_bound import bound
 from calib.calibration.cube_mirror import cube_from_table
 from calib.calibration.frame_attitudes import frame_attitude
 from calib.calibration.free_attitudes import FreeAttitudes
@@ -51,14 +50,12 @@ from calib.directional.fisher_checks import exponential_check, fisher_outliers, 
 from calib.fitting.least_squares import DenseProblem, solve
 from calib.fitting.robust_loss import get_loss
 from calib.fitting.solution import Solution
-from calib.flags import StarFlag
 from calib.measure.background import estimate_background
 from calib.measure.centroid_error.cramer_rao_bound import cramer_rao, flux_for_snr
 from calib.measure.centroid_error.prediction import predict_centroids
 from calib.measure.centroiders.epsf import EpsfCentroider
 from calib.measure.centroiding.registry import get_centroider, register_centroider
 from calib.measure.detection.false_alarms import threshold_for_false_alarms
-from calib.measure.detection.matched_filter import detect, detection_noise
 from calib.measure.epsf.build import build_epsf
 from calib.measure.find import find_stars
 from calib.measure.images.sensor_image import sensor_image, subtract_dark
@@ -146,33 +143,25 @@ ATTITUDE = [
     domain("wahba: frames", wahba(frame=np.zeros(3, int)), "frame has shape (3,)"),
     domain("wahba: type of frames", wahba(frame=np.zeros(4)), "type float64"),
     domain("wahba: frame", wahba(frame=np.arange(4), frames=3), "0 to 2 is allowed for 3 frames"),
-    domain("wahba: negative frame", wahba(frame=np.array([-1, 0, 0, 0])), "frame runs from -1"),
     domain("wahba: sigma", wahba(sigma_rad=0.0), "sigma_rad = 0.0; it must be finite and positive"),
-    domain("wahba: a sigma", wahba(sigma_rad=np.array([1, 1, NAN, 1.0])), "sigma_rad = nan"),
     domain("wahba: sigmas", wahba(sigma_rad=np.ones(3)), "sigma_rad has shape (3,)"),
     domain("wahba: weight", wahba(sigma_rad=None, weight=np.array([1, 1, -2.0, 1])), "weight = -2.0"),
     config("wahba: method", lambda: solve_wahba(STARS, STARS, method="triad"), "'svd' or 'quest'"),
     config("wahba: weights", lambda: solve_wahba(STARS, STARS, sigma_rad=1.0, weight=np.ones(4)), "both given"),
     domain("match: pixels", match(pixel_px=np.zeros((3, 3))), "pixel_px has shape (3, 3)"),
     domain("match: length", match(catalogue_direction=np.full((4, 3), 100.0)), "unit vectors are needed"),
-    domain("match: NaN", match(catalogue_direction=np.full((4, 3), NAN)), "row 0 has length nan"),
     domain("match: columns", match(catalogue_direction=np.zeros((4, 2))), "catalogue_direction has shape (4, 2)"),
     domain("match: attitudes", match(attitude=Rotation.identity(2)), "single scipy Rotation"),
     domain("match: radius", match(radius_px=0.0), "radius_px = 0.0 px"),
-    domain("match: radius NaN", match(radius_px=NAN), "radius_px = nan px"),
     domain("match: tolerance", match(tolerance_px=9.0), "at most radius_px = 5.0 px"),
     domain("rates: times", rates([0, 1], np.zeros((2, 3))), "the 3 ends of the intervals are needed"),
     domain("rates: order", rates([0, 1, 1], np.zeros((2, 3))), "increasing"),
-    domain("rates: time NaN", rates([0, 1, NAN], np.zeros((2, 3))), "finite"),
     domain("rates: gap", rates([0, 1, 2], np.full((2, 3), NAN)), "fill gaps"),
     domain("rates: degrees", rates([0, 1, 2], np.full((2, 3), 30.0)), "rates are in rad/s"),
     domain("rates: columns", rates([0, 1, 2], np.zeros((2, 2))), "shape (2, 2)"),
-    domain("rates: none", rates([0], np.zeros((0, 3))), "shape (0, 3)"),
     domain("rates: outside", rates([0, 1, 2], np.zeros((2, 3)), [2.5]), "at_s = 2.5 s lies outside"),
-    domain("rates: at NaN", rates([0, 1, 2], np.zeros((2, 3)), [NAN]), "at_s = nan s"),
     domain("rates: at", rates([0, 1, 2], np.zeros((2, 3)), 1.0), "times of shape (f,)"),
     domain("angles: two", lambda: rotation_of_angles([0.0, 1.0]), "three finite angles"),
-    domain("angles: NaN", lambda: rotation_of_angles([0.0, 1.0, NAN]), "three finite angles"),
     domain("star vectors: columns", vectors(3, columns=3), "shape (3, 3)"),
     domain("star vectors: attitudes", vectors(2), "2 table attitudes for 3 images"),
     domain("star vectors: installation", vectors(3, TURNS), "3 rotations; a single rotation"),
@@ -184,11 +173,8 @@ ATTITUDE = [
     domain("database: fields", lambda: build_database(min_fov_deg=13, max_fov_deg=11), "from 13 to 11 deg"),
     config("database: file", lambda: load_database("missing.bin"), "missing.bin", "create it by build_database"),
     domain("tracker: order of time", frame_out_of_order, "time_s = 1 s", "order of time"),
-    domain(
-        "tracker: stars", lambda: StarTracker(CAMERA, guides(), centroid="cog", fewest=2), "fewest = 2", "most = 30"
-    ),
+    domain("tracker: stars", lambda: StarTracker(CAMERA, guides(), centroid="cog", fewest=2), "fewest = 2"),
     domain("guides: none", lambda: guides(1.0), "no guide star from -2 to 1 mag"),
-    domain("guides: magnitudes", lambda: guides(-3.0), "from -2 to -3 mag"),
 ]
 
 # --- cameras
@@ -223,7 +209,7 @@ CAMERAS = [
     ),
     *(
         domain(f"band {band}", lambda b=band: MODELS["PerBand"].project(RAYS[:16], b), "band")
-        for band in (2, -1, [0, 1], [0.0] * 16, NAN)
+        for band in (2, -1, [0, 1], NAN)
     ),
     domain("of_band", lambda: MODELS["PerBand"].of_band(2), "band 2", "2 bands"),
     domain("width", geometry(width_px=0), "width_px = 0"),
@@ -231,17 +217,12 @@ CAMERAS = [
     domain("pitch", geometry(pixel_pitch_mm=-1.0), "pixel_pitch_mm = -1.0 mm"),
     domain("grid", lambda: GEOMETRY.grid_px(1), "count = 1", "at least 2"),
     domain("BrownConrady: f = 0", camera(BrownConrady, focal_length_mm=0.0), "focal_length_mm = 0.0 mm"),
-    domain("BrownConrady: f = NaN", camera(BrownConrady, focal_length_mm=NAN), "focal_length_mm = nan mm"),
     domain("BrownConrady: q1", camera(BrownConrady, q1_per_mm2=np.inf), "parameters", "finite"),
-    domain("PerBand: no band", camera(PerBand, focal_length_mm=[]), "focal_length_mm = []"),
     domain("PerBand: f", camera(PerBand, focal_length_mm=[10.0, -1.0]), "[10.0, -1.0] mm"),
     domain("PerBand: x0", camera(PerBand, focal_length_mm=[10.0, 10.0], x0_px=np.ones(3)), "x0_px of shape (3,)"),
     domain("Polynomial: degree 0", camera(Polynomial, degree=0), "degree = 0", "1 to 15"),
-    domain("Polynomial: degree 16", camera(Polynomial, degree=16), "degree = 16", "1 to 15"),
     domain("Polynomial: f", camera(Polynomial, focal_length_mm=-10.0), "focal_length_mm = -10.0 mm"),
-    domain(
-        "Polynomial: nominal f", camera(Polynomial, nominal_focal_length_mm=0.0), "nominal_focal_length_mm = 0.0 mm"
-    ),
+    domain("Polynomial: nominal f", camera(Polynomial, nominal_focal_length_mm=0.0), "nominal_focal_length_mm = 0.0"),
     domain("Polynomial: anchor", camera(Polynomial, anchor_px=(1.0, 2.0, 3.0)), "anchor_px"),
     domain("parameters", lambda: CAMERA.with_parameters([1.0, 2.0]), "parameters"),
     domain("parameters NaN", lambda: CAMERA.with_parameters(np.full(8, NAN)), "finite"),
@@ -249,14 +230,12 @@ CAMERAS = [
     domain("OpenCV: two f", opencv(np.diag([2500.0, 2600.0, 1.0])), "one focal length"),
     domain("OpenCV: skew", opencv([[2500.0, 3.0, 0.0], [0.0, 2500.0, 0.0], [0.0, 0.0, 1.0]]), "skew 3 px"),
     domain("OpenCV: matrix", opencv(np.eye(2)), "(2, 2)", "4 or 5"),
-    domain("OpenCV: coefficients", opencv(coefficients=[0.1, 0.2]), "2 coefficients", "4 or 5"),
     domain("OpenCV: rational", opencv(coefficients=[0.0] * 5 + [0.1, 0.0, 0.0]), "beyond k3"),
     domain("fit: few", lambda: fit_to_map(CAMERA, RAYS[:5], PIXELS[:5]), "5 directions", "11 unknowns"),
     domain("fit: counts", lambda: fit_to_map(CAMERA, RAYS, PIXELS[:4]), "81 directions and 4 pixels"),
     domain("fit: NaN", lambda: fit_to_map(CAMERA, RAYS * NAN, PIXELS), "finite"),
     config("fit: name", lambda: fit_to_map(CAMERA, RAYS, PIXELS, free=("focal_length",)), "did you mean"),
     domain("line of sight: counts", line_of_sight(reference_direction=np.zeros((3, 3))), "3 reference directions"),
-    domain("line of sight: NaN", line_of_sight(reference_direction=np.full((81, 3), NAN)), "finite"),
     domain("line of sight: length", line_of_sight(reference_direction=np.full((81, 3), 20.0)), "unit vector"),
     domain("line of sight: covariance", line_of_sight(covariance=np.eye(3)), "(3, 3)", "8 parameters"),
     domain("line of sight: one", line_of_sight(reference_direction=[AHEAD], pixel_px=[[1.0, 2.0]]), "two or more"),
@@ -310,7 +289,6 @@ DIRECTIONAL = [
     domain("columns", lambda: fit_fisher(np.ones((4, 2))), "(4, 2)", "(n, 3) unit vectors"),
     domain("one direction", lambda: fit_fisher([AHEAD]), "1 direction(s)", "at least 2"),
     domain("length", lambda: fit_fisher([AHEAD, 2.0 * AHEAD]), "length 2"),
-    domain("NaN", lambda: fit_fisher([AHEAD, [0, NAN, 1.0]]), "unit vectors"),
     domain("equal", lambda: fit_fisher([AHEAD, AHEAD]), "all 2 directions are the same"),
     domain("opposite", lambda: fit_fisher([AHEAD, -AHEAD]), "cancel"),
     domain("degrees of freedom", lambda: fit_fisher(fisher(), degrees_of_freedom=-2), "degrees_of_freedom = -2"),
@@ -424,60 +402,42 @@ def no_single_star() -> Any:
 DEGREES = np.column_stack([np.linspace(10, 350, 6), np.linspace(-80, 80, 6), np.zeros(6)])
 CALIBRATION = [
     domain("observations: degrees", observed(direction=DEGREES), "degrees or hours"),
-    domain("observations: hours", observed(direction=DEGREES / [15.0, 80.0, 1.0] + [0, 0, 1.0]), "degrees or hours"),
     domain("observations: two angles", observed(direction=DEGREES[:, :2]), "right ascension, declination"),
     domain("observations: length", observed(direction=np.tile(1.001 * AHEAD, (6, 1))), "row 0 has length 1.001"),
-    domain("observations: zeros", observed(direction=np.zeros((6, 3))), "unit vectors"),
     domain("observations: directions", observed(direction=STARS), "shape"),
     domain("observations: direction NaN", observed(direction=np.full((6, 3), NAN)), "finite"),
     domain("observations: pixel NaN", observed(pixel_px=np.full((6, 2), NAN)), "finite"),
     domain("observations: columns", observed(pixel_px=np.zeros((6, 3))), "shape"),
-    domain("observations: flat", observed(pixel_px=np.zeros(6)), "shape"),
     domain("observations: frames", observed(frame=[0, 0, 1, 1, 3]), "shape"),
     domain("observations: frame", observed(frame=[0, 0, 1, 1, 3, 4], frames=4), "0 .. 3"),
-    domain("observations: negative frame", observed(frame=[-1, 0, 1, 1, 3, 3]), "frame: values from -1"),
     domain("observations: part of a frame", observed(frame=[0.5, 0, 1, 1, 3, 3]), "whole numbers"),
-    domain("observations: frame NaN", observed(frame=[NAN, 0, 1, 1, 3, 3], frames=4), "whole numbers"),
     domain("observations: number of frames", observed(frames=-1), "frames = -1"),
-    domain("observations: type of frames", observed(frames=4.0), "frames = 4.0"),
     domain("observations: band", observed(band=[-1, 0, 0, 0, 0, 0]), "band: value -1"),
     domain("observations: star", observed(star=[-2, 0, 0, 0, 0, 0]), "star: value -2"),
     domain("observations: sigma", observed(sigma_px=0.0), "sigma_px = 0.0 px", "positive"),
-    domain("observations: sigma NaN", observed(sigma_px=NAN), "positive"),
     domain("observations: sigmas", observed(sigma_px=[0.1, 0.2]), "sigma_px of shape (2,)"),
-    *(
-        domain(f"observations: {name}", observed(covariance), "row 0", "positive definite")
-        for name, covariance in {
-            "singular": [[0.01, 0.0], [0.0, 0.0]],
-            "correlation above 1": [[0.01, 0.02], [0.02, 0.01]],
-            "not symmetric": [[0.01, 0.001], [0.0, 0.01]],
-            "negative": [[-1.0, 0.0], [0.0, -1.0]],
-        }.items()
-    ),
+    domain("observations: singular", observed([[0.01, 0.0], [0.0, 0.0]]), "row 0", "positive definite"),
+    domain("observations: asymmetric", observed([[0.01, 0.001], [0.0, 0.01]]), "row 0", "positive definite"),
     domain("observations: mask", lambda: scene().observations.select([True, False]), "mask of shape (2,)"),
     domain("free: attitudes", fit(lambda: FreeAttitudes(attitude=TURNS)), "3 attitudes for 6 frames"),
     config("free: parameter", fit(FreeAttitudes, free=("focal_length_px",)), "camera parameter 'focal_length_px'"),
     domain("ACC", fit(few_turns), "3 gyro rotations for 6 frames"),
     domain("gyro: times", lambda: linked(5), "5 gyro rotations and 6 times; one of each per frame"),
-    domain("gyro: frames", fit(lambda: linked(5, range(5))), "5 gyro rotations for 6 frames"),
     domain("gyro: order", lambda: linked(time=range(6, 0, -1)), "must be finite and increase"),
     domain("gyro: noise", lambda: GyroNoise(angle_random_walk_rad_per_sqrt_s=-1e-6), "= -1e-06", "not negative"),
     config("angles: weighting", lambda: NoAttitude(weighting="some"), "weighting 'some'"),
     domain("angles: crowded", crowded, "keep the brightest 5477 stars"),
     domain("bound: behind", behind, "lie behind the camera"),
-    domain("bound: gyro", lambda: bound(scene().observations, CAMERA, few_turns()), "3 gyro rotations for 6 frames"),
     domain("order: none", no_order, "no camera model converges"),
     domain("a frame", lambda: frame_attitude(scene().observations.select([0]), CAMERA), "attitude of 1 stars"),
     domain("cube: parallel", cube([[0, 0, 1], [0, 0, -1]]), "not parallel"),
     domain("cube: one face", cube([[0, 0, 1], [0, 0, 1]]), "a single face"),
     domain("cube: shapes", cube([[0, 0, 1]], [[0, 0, 1], [1, 0, 0]]), "are needed"),
     domain("table: one axis", table("x"), "1 axes; a table of 2 or 3"),
-    domain("table: four axes", table("xyzx"), "4 axes"),
     domain("table: parallel", table("xx"), "enclose 0.000000 deg"),
     domain("table: noise", table(reading_noise_arcsec=-0.3), "must not be negative"),
-    domain("table: noise NaN", table(reading_noise_arcsec=NAN), "finite"),
     domain("table: lean", table(non_orthogonality_arcsec=40000.0), "at most 36000 arcsec"),
-    *(config(f"table: {axes!r}", table(axes), "letters x, y, z") for axes in ("", "xq", "x-", "--x", "1")),
+    *(config(f"table: {axes!r}", table(axes), "letters x, y, z") for axes in ("", "xq")),
     *(
         domain(f"table: angles {angle}", lambda a=angle: TableAxes.create("xy").rotation(a), "angle")
         for angle in ([0.0, 0.0], [[0.0]], [[0.0, NAN]])
@@ -485,7 +445,7 @@ CALIBRATION = [
     domain("bench: aim", along_the_outer_axis, "cannot turn the camera"),
     domain("bench: few", bench_bound(np.zeros((6, 2))), "6 places give 12 measurements for 14 unknowns"),
     domain("bench: one pose", bench_bound(np.zeros((81, 2))), "do not determine"),
-    *(domain(f"poses: {axes}", parity(axes), "mirrored") for axes in ("x-y", "-xy", "yx")),
+    *(domain(f"poses: {axes}", parity(axes), "mirrored") for axes in ("x-y", "yx")),
     domain("poses: behind", parity(reading_rad=np.linspace([-2.5, 0.0], [2.5, 0.0], 9)), "behind the camera"),
     domain("poses: few", lambda: check_count(7, TableAxes.create("xy")), "7 places give 14 measurements"),
     domain("poses: fit", wrong_fit, "times their noise", "check order and signs"),
@@ -562,7 +522,6 @@ FULL = replace(WINDOWS, flags=np.array([int(StarFlag.SATURATED)] + [0] * 11, np.
 LINE = np.column_stack([np.arange(10.0), 2 * np.arange(10.0)])
 RECORDS = [
     domain("read noise", lambda: NoiseModel(read_noise_e=-1.0), "read_noise_e = -1.0 e-"),
-    domain("read noise: NaN", lambda: NoiseModel(read_noise_e=NAN), "read_noise_e = nan"),
     domain("gain", lambda: NoiseModel(read_noise_e=1.0, gain_dn_per_e=0.0), "gain_dn_per_e = 0.0 DN/e-"),
     domain("offset", lambda: NoiseModel(read_noise_e=1.0, offset_dn=np.inf), "offset_dn = inf"),
     domain("windows", lambda: stamps_of(np.zeros((1, 2, 2)), [1.0], [1.0]), "(2, 2) px", "at least 3 x 3"),
@@ -579,7 +538,6 @@ MEASURE = [
     domain("detection: number", lambda: detect(IMAGE, max_stars=-1), "max_stars = -1"),
     domain("detection: background", lambda: detect(IMAGE, estimate_background(image_of(np.ones((9, 9))))), "(9, 9) px"),
     domain("alarms", lambda: threshold_for_false_alarms(1e9, 10_000), "1e+09 false alarms", "between 0 and"),
-    domain("alarms of an image", lambda: detection_noise(IMAGE).threshold(1e9), "1e+09 false alarms", "between 0 and"),
     config("find: centroider", lambda: find_stars(IMAGE, "window"), "did you mean windowed"),
     domain("find: dimensions", lambda: find_stars(np.zeros(64)), "shape (64,)", "two dimensions"),
     *(
@@ -589,7 +547,6 @@ MEASURE = [
     domain("stamps: NaN", lambda: extract_stamps(IMAGE, [9.0, NAN], [9.0, 9.0], background=0.0), "star 1 is (nan"),
     domain("stamps: counts", lambda: extract_stamps(IMAGE, [9.0, 8.0], [9.0], background=0.0), "equal length"),
     domain("image: nothing", lambda: sensor_image(np.full((10, 10), NAN)), "no finite number"),
-    domain("image: masked", lambda: sensor_image(np.ma.masked_all((9, 9))), "no unmasked pixel"),
     domain("image: noise", lambda: sensor_image(np.zeros((10, 10)), read_noise_e=-2.0), "read_noise_e = -2"),
     domain("image: defects", lambda: sensor_image(np.zeros((9, 9)), defect=np.zeros((3, 3), bool)), "defect has shape"),
     domain("dark", lambda: subtract_dark(frame_of(np.zeros((9, 9)), **GAIN), np.zeros((3, 3))), "shape (3, 3)"),
@@ -624,8 +581,6 @@ MEASURE = [
     domain("spokes", lambda: sample_spokes(np.zeros((9, 9)), [4, 4], np.arange(9.0), spokes=3), "at least 8 spokes"),
     domain("radii", lambda: sample_spokes(np.zeros((9, 9)), [4, 4], [1.0, 2.0, 2.0, 3.0, 4.0]), "increasing radii"),
     domain("circle: few", lambda: fit_circle(np.zeros((3, 2))), "shape (3, 2)", "at least 4 points"),
-    domain("circle: columns", lambda: fit_circle(np.zeros((10, 3))), "shape (10, 3)"),
-    domain("circle: a point", lambda: fit_circle(np.ones((10, 2))), "coincide"),
     domain("circle: a line", lambda: fit_circle(LINE), "on a line"),
     domain("circle: NaN", lambda: fit_circle(np.full((10, 2), NAN)), "not finite"),
     domain("circle: sigma", lambda: fit_circle(LINE**2, sigma=0.0), "sigma of an edge point is 0", "positive"),
@@ -679,9 +634,7 @@ DETECTOR = [
         domain(f"transfer of {name}", lambda f=flats, d=dark: flat_photon_transfer(f, d), "two frames", "two darks")
         for name, flats, dark in (("no flat", [], MEAN), ("a flat", [SINGLE], MEAN), ("a dark", [MEAN], SINGLE))
     ),
-    domain(
-        "transfer of a pixel", lambda: flat_photon_transfer([MEAN], MEAN, usable=np.eye(1, 64).reshape(8, 8)), "1 p"
-    ),
+    domain("transfer of a pixel", lambda: flat_photon_transfer([MEAN], MEAN, usable=ONE_PIXEL), "1 p"),
     domain("pattern", lambda: fixed_pattern(MEAN, SINGLE, TRANSFER), "4 flats and 1 darks", "two of each"),
     domain("hot pixels", lambda: find_hot_pixels([]), "no frames", "at least one"),
     domain("hot pixels: sizes", lambda: find_hot_pixels([IMAGE, image_of(np.ones((20, 30)))]), "(20, 30) px"),

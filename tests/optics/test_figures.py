@@ -1,27 +1,16 @@
 """Figures are files to look at; here only what can be checked: they draw what they were given."""
 
 import numpy as np
+from lens_texts import STOP, table_lens
 
 from optics import draw_distortion, draw_lens, draw_spots, load_lens, spot_moments
-from optics.lens.prescription import lens_from_table
 
 
 def test_a_mirror_that_is_a_piece_beside_the_axis_is_drawn_as_that_piece():
     """The piece is a rectangle from y = 30 to 50 mm of a parabola; nothing of it stands on the axis."""
     piece = {"kind": "rectangle", "half_width_mm": [10.0, 10.0], "centre_mm": [0.0, 40.0]}
-    lens = lens_from_table(
-        {
-            "name": "piece",
-            "source": "a test",
-            "design_wavelength_nm": 600.0,
-            "max_field_deg": 0.1,
-            "surface": [
-                {"kind": "plane", "stop": True, "semi_diameter_mm": 60.0, "thickness_mm": 150.0, "medium": "air"},
-                {"radius_mm": -200.0, "conic": -1.0, "thickness_mm": -100.0, "medium": "mirror", "aperture": [piece]},
-            ],
-        },
-        where="test",
-    )
+    mirror = {"radius_mm": -200.0, "conic": -1.0, "thickness_mm": -100.0, "medium": "mirror", "aperture": [piece]}
+    lens = table_lens({**STOP, "semi_diameter_mm": 60.0, "thickness_mm": 150.0}, mirror, max_field_deg=0.1)
     (drawn,) = [line for line in draw_lens(lens).axes[0].lines if len(line.get_ydata()) > 10]
     height = np.asarray(drawn.get_ydata())
     height = height[np.isfinite(height)]

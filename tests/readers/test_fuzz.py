@@ -34,10 +34,8 @@ from optics.glass.agf import read_agf
 from optics.glass.index_database import read_material
 from optics.lens.prescription import lens_from_table
 from optics.light.band_file import load_band
-from render.catalogue.read import read_catalog
-from render.detector.spec import load_detector
+from render import Frame, load_detector, read_catalog
 from render.fits.files import read_frame, read_frames, write_frame
-from render.records import Frame
 
 ROOT = Path(__file__).parents[2]
 INPUTS = 3000

@@ -3,20 +3,14 @@
 import numpy as np
 import pytest
 
-from calib.accuracy.attitude_from_stars import (
-    DirectionErrors,
-    attitude_rule_arcsec,
-    attitude_term,
-    simulate_attitudes,
-    smooth_maps,
-)
+from calib.accuracy import attitude_from_stars
 from calib.accuracy.error_budget import TERMS, ErrorTerm, combine
 
 HALF_FIELD = np.array([0.055, 0.027])
 
 
 def errors(random, chromatic=0.0, distortion=0.0):
-    return DirectionErrors(
+    return attitude_from_stars.DirectionErrors(
         random_arcsec=np.broadcast_to(random, 2),
         chromatic_arcsec=np.full(2, chromatic),
         distortion_arcsec=np.full(2, distortion),
@@ -25,7 +19,7 @@ def errors(random, chromatic=0.0, distortion=0.0):
 
 def simulate(of_star, stars, seed, trials=600, half_field=HALF_FIELD, **options):
     rng = np.random.default_rng(seed)
-    found = simulate_attitudes(of_star, half_field, stars, trials=trials, rng=rng, **options)
+    found = attitude_from_stars.simulate_attitudes(of_star, half_field, stars, trials=trials, rng=rng, **options)
     assert found.failed == 0
     return found
 
@@ -36,7 +30,9 @@ def test_attitude_of_independent_errors_is_what_the_estimator_states():
         found = simulate(of_star, stars, 3)
         np.testing.assert_allclose(found.arcsec, found.stated_arcsec, rtol=5 * found.relative_error)
     # many stars all over the field: the rule holds for every axis, roll included
-    np.testing.assert_allclose(found.arcsec, attitude_rule_arcsec(of_star, HALF_FIELD, 40), rtol=0.18)
+    np.testing.assert_allclose(
+        found.arcsec, attitude_from_stars.attitude_rule_arcsec(of_star, HALF_FIELD, 40), rtol=0.18
+    )
 
 
 def test_unequal_errors_on_an_oblong_detector_by_hand():
@@ -48,7 +44,7 @@ def test_unequal_errors_on_an_oblong_detector_by_hand():
     xx, yy = half_field**2 / 3.0
     expected = np.array([3.0, 1.0, np.sqrt(9.0 * yy + 1.0 * xx) / (xx + yy)]) / np.sqrt(60.0)
     found = simulate(of_star, 60, 8, trials=300, half_field=half_field)
-    np.testing.assert_allclose(attitude_rule_arcsec(of_star, half_field, 60), expected, rtol=1e-9)
+    np.testing.assert_allclose(attitude_from_stars.attitude_rule_arcsec(of_star, half_field, 60), expected, rtol=1e-9)
     np.testing.assert_allclose(found.arcsec, expected, rtol=0.03 + 4.0 * found.relative_error)
     np.testing.assert_allclose(found.over_expected, 1.0, atol=4.0 * found.relative_error)
 
@@ -59,14 +55,14 @@ def test_common_error_does_not_average():
         found = simulate(of_star, stars, 4, trials=300, correlation="common")
         np.testing.assert_allclose(found.arcsec[:2], 0.9, rtol=6 * found.relative_error)
         # a common shift turns, but does not roll
-        assert found.arcsec[2] < 0.1 * attitude_rule_arcsec(of_star, HALF_FIELD, stars)[2]
+        assert found.arcsec[2] < 0.1 * attitude_from_stars.attitude_rule_arcsec(of_star, HALF_FIELD, stars)[2]
 
 
 def test_attitude_of_a_measured_budget_is_solved():
     """Ten stars evenly all over the field: the rule, but for the roll that stars beside the middle bring in."""
     budget = combine({name: ErrorTerm(arcsec=np.ones(2)) for name in TERMS}, stars=10)
-    np.testing.assert_allclose(DirectionErrors.of(budget).total_arcsec, budget.total.arcsec)
-    solved = attitude_term(budget, HALF_FIELD, stars=10, trials=1000, rng=np.random.default_rng(7))
+    np.testing.assert_allclose(attitude_from_stars.DirectionErrors.of(budget).total_arcsec, budget.total.arcsec)
+    solved = attitude_from_stars.attitude_term(budget, HALF_FIELD, stars=10, trials=1000, rng=np.random.default_rng(7))
     ratio = solved.arcsec / (budget.total.arcsec / np.sqrt(10.0))
     np.testing.assert_allclose(ratio, 1.03, atol=0.04 + 4.0 / np.sqrt(2000.0))
     np.testing.assert_allclose(solved.uncertainty_arcsec, solved.arcsec / np.sqrt(2000.0))
@@ -76,7 +72,7 @@ def test_drawn_cubic_maps_have_unit_variance_over_the_field():
     """Mean square one over a field of 40 x 40 points; a map is a cubic without a constant."""
     side = (np.arange(40) + 0.5) / 20 - 1.0
     place = np.stack(np.meshgrid(side, side), axis=-1).reshape(1, -1, 2)
-    maps = smooth_maps(np.repeat(place, 400, axis=0), np.random.default_rng(4))
+    maps = attitude_from_stars.smooth_maps(np.repeat(place, 400, axis=0), np.random.default_rng(4))
     assert maps.shape == (400, 1600, 2)
     # nine terms of equal weight: the mean square of a map is chi^2 of nine over nine
     assert (maps**2).mean() == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / 9 / 800) + 0.01)

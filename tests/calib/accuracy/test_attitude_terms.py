@@ -5,14 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.accuracy.attitude_terms import (
-    TERMS,
-    AttitudeErrors,
-    AttitudePrediction,
-    frame_correlation,
-    mean_correlation,
-    slope_through_zero,
-)
+from calib.accuracy import attitude_terms
 
 SEGMENTS, FRAMES = 40, 30
 ACROSS, ROLL = (0, 1), (2,)
@@ -22,15 +15,15 @@ BIAS = np.array([0.02, -0.015, 0.4])
 
 
 def prediction(errors, rate_px_per_s=(15.0, 0.0)):
-    correlation = [frame_correlation(rate_px_per_s, TIME_S)] * len(errors)
-    return AttitudePrediction(errors=errors, correlation=correlation, bias_arcsec=BIAS, switched=6)
+    correlation = [attitude_terms.frame_correlation(rate_px_per_s, TIME_S)] * len(errors)
+    return attitude_terms.AttitudePrediction(errors=errors, correlation=correlation, bias_arcsec=BIAS, switched=6)
 
 
 @pytest.fixture(scope="module")
 def told():
     rng = np.random.default_rng(1)
     return [
-        AttitudeErrors(
+        attitude_terms.AttitudeErrors(
             time_s=100.0 * k,
             available=True,
             stars=16.0,
@@ -66,7 +59,7 @@ def flown(told):
 @pytest.mark.parametrize(("axes", "axis"), [(ACROSS, 0), (ROLL, 2)], ids=["across", "roll"])
 def test_known_terms_come_out_within_their_errors(flown, told, axes, axis):
     terms = prediction(told).compare(axes, **flown)
-    assert set(terms) == {*TERMS, "total"}
+    assert set(terms) == {*attitude_terms.TERMS, "total"}
     for name, true in (("temporal_noise", NOISE), ("pixel_spatial", PIXEL)):
         root, error = terms[name].root_arcsec
         assert root == pytest.approx(true[axis], abs=4.0 * error)
@@ -148,17 +141,17 @@ def test_errors_of_known_sign_add_up_in_the_total(told):
 
 def test_correlations_of_frames():
     """0.3 px further about x: 0.75 by patterns 1.2 px wide; stars move along y, by a phase of 108 deg."""
-    frames = frame_correlation([0.3, 0.0], [0.0, 1.0])
+    frames = attitude_terms.frame_correlation([0.3, 0.0], [0.0, 1.0])
     assert frames.patterns[0, 1] == pytest.approx(0.75)
     np.testing.assert_allclose(frames.phases[:, 0, 1], np.array([1.0, 0.0, 0.5]) * np.cos(0.6 * np.pi) + [0, 1, 0.5])
-    assert mean_correlation(frames.patterns) == pytest.approx(0.75)
-    assert mean_correlation(np.ones((3, 1, 1))).tolist() == [1.0, 1.0, 1.0]
+    assert attitude_terms.mean_correlation(frames.patterns) == pytest.approx(0.75)
+    assert attitude_terms.mean_correlation(np.ones((3, 1, 1))).tolist() == [1.0, 1.0, 1.0]
 
 
 def test_a_slope_of_few_values_is_as_uncertain_as_student_has_it():
     """Two errors beyond a level of 5 %: 95 % of 4000 slopes of three values lie within 1.96 stated errors."""
     rng, x = np.random.default_rng(3), np.array([1.0, -2.0, 0.5])
-    fits = np.array([slope_through_zero(x, 0.7 * x + rng.standard_normal(3), 0.05) for _ in range(4000)])
+    fits = np.array([attitude_terms.slope_through_zero(x, 0.7 * x + rng.standard_normal(3), 0.05) for _ in range(4000)])
     inside = (np.abs(fits[:, 0] - 0.7) < 1.95996 * fits[:, 1]).mean()
     assert inside == pytest.approx(0.95, abs=4.0 * np.sqrt(0.05 * 0.95 / 4000))
-    assert np.isnan(slope_through_zero(0.0 * x, x)).all()
+    assert np.isnan(attitude_terms.slope_through_zero(0.0 * x, x)).all()

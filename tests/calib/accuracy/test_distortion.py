@@ -5,40 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.accuracy.distortion import (
-    camera_terms,
-    compare_orders,
-    deleted_residuals_px,
-    distortion_statistics,
-    fit_camera_terms,
-    map_change_px,
-    map_error_px,
-    polynomial_rms_px,
-    polynomial_terms,
-    without_pointing,
-)
-from calib.cameras import BrownConrady
-from calib.cameras.base import SensorGeometry
+from calib import BrownConrady, SensorGeometry
+from calib.accuracy import distortion
 
 X, Y = np.meshgrid(np.linspace(-0.89, 0.89, 8), np.linspace(-0.44, 0.44, 4))
 PLACE = np.column_stack([X.ravel(), Y.ravel()])
 
 
-def test_a_cubic_leaves_nothing_of_a_cubic():
-    d = polynomial_terms(PLACE, 3) @ np.random.default_rng(0).normal(size=(10, 2))
-    found = distortion_statistics(PLACE, d, 3)
-    assert found.sigma_px[1].max() < 1e-12
-    np.testing.assert_allclose(found.sigma_px[2], found.sigma_px[0])
-
-
 def test_a_cubic_leaves_all_of_an_orthogonal_quartic():
     """x^4 without its part in polynomials of degree 3 is left whole, in x; y keeps nothing. Divisor of the variance:
     W - 1."""
-    lower = polynomial_terms(PLACE, 3)
+    lower = distortion.polynomial_terms(PLACE, 3)
     quartic = PLACE[:, 0] ** 4
     quartic = quartic - lower @ np.linalg.lstsq(lower, quartic, rcond=None)[0]
     d = np.column_stack([quartic, np.zeros(32)])
-    found = distortion_statistics(PLACE, d, 3)
+    found = distortion.distortion_statistics(PLACE, d, 3)
     np.testing.assert_allclose(found.residual_px, d, atol=1e-14)
     np.testing.assert_allclose(found.sigma_px[1], [np.sqrt((quartic**2).sum() / 31.0), 0.0], rtol=1e-9, atol=1e-15)
     assert found.sigma_px[2].max() < 1e-8
@@ -46,14 +27,16 @@ def test_a_cubic_leaves_all_of_an_orthogonal_quartic():
 
 def test_of_pure_noise_a_cubic_removes_nine_of_31_parts():
     rng, runs = np.random.default_rng(1), 2000
-    removed = np.mean([distortion_statistics(PLACE, rng.normal(size=(32, 2)), 3).sigma_px[2] ** 2 for _ in range(runs)])
+    removed = np.mean(
+        [distortion.distortion_statistics(PLACE, rng.normal(size=(32, 2)), 3).sigma_px[2] ** 2 for _ in range(runs)]
+    )
     assert removed == pytest.approx(9.0 / 31.0, rel=4.0 * np.sqrt(2.0 / 9.0 / (2 * runs)))
 
 
 def test_shift_roll_and_scale_change_what_is_found_but_not_what_is_left():
     d = 0.02 * np.random.default_rng(2).normal(size=(32, 2))
-    more = d + camera_terms(PLACE, "aligned") @ np.array([1.0, -2.0, 0.5, 0.3])
-    one, other = distortion_statistics(PLACE, d, 3), distortion_statistics(PLACE, more, 3)
+    more = d + distortion.camera_terms(PLACE, "aligned") @ np.array([1.0, -2.0, 0.5, 0.3])
+    one, other = distortion.distortion_statistics(PLACE, d, 3), distortion.distortion_statistics(PLACE, more, 3)
     np.testing.assert_allclose(one.residual_px, other.residual_px, atol=1e-12)
     assert np.all(other.sigma_px[2] > 5 * one.sigma_px[2])
 
@@ -67,15 +50,19 @@ def test_the_camera_follows_a_brown_conrady_lens():
     ideal = np.column_stack([PLACE * half * 0.0055 / 206.0, np.ones(32)])
     nominal = geometry.centre_px + PLACE * half
     offset = model.project(ideal / np.linalg.norm(ideal, axis=1, keepdims=True)) - nominal
-    left = offset - camera_terms(PLACE, "calibrated") @ fit_camera_terms(PLACE, offset, "calibrated")
+    left = offset - distortion.camera_terms(PLACE, "calibrated") @ distortion.fit_camera_terms(
+        PLACE, offset, "calibrated"
+    )
     assert np.abs(offset).max() > 0.5
     assert np.abs(left).max() < 1e-9
 
 
 def test_pointing_is_shift_and_roll_but_not_scale():
-    shift_roll, scale = (camera_terms(PLACE, "aligned") @ np.array(c) for c in ([0.3, 0.1, 0.0, 0.2], [0, 0, 1.0, 0]))
-    assert np.abs(without_pointing(PLACE, shift_roll)).max() < 1e-12
-    np.testing.assert_allclose(without_pointing(PLACE, scale), scale, atol=1e-12)
+    shift_roll, scale = (
+        distortion.camera_terms(PLACE, "aligned") @ np.array(c) for c in ([0.3, 0.1, 0.0, 0.2], [0, 0, 1.0, 0])
+    )
+    assert np.abs(distortion.without_pointing(PLACE, shift_roll)).max() < 1e-12
+    np.testing.assert_allclose(distortion.without_pointing(PLACE, scale), scale, atol=1e-12)
 
 
 @pytest.mark.parametrize("reference", ["aligned", "calibrated"])
@@ -83,11 +70,11 @@ def test_points_left_out_are_those_of_fits_without_them(reference):
     """Against fits repeated without a point, a row, a column; rows at the edge lose one point at a time."""
     place = np.stack(np.meshgrid(np.linspace(-0.7, 0.7, 7), np.linspace(-0.6, 0.6, 6)), -1).reshape(-1, 2)
     offset = np.random.default_rng(4).standard_normal(place.shape)
-    found = deleted_residuals_px(place, offset, 3, reference)
+    found = distortion.deleted_residuals_px(place, offset, 3, reference)
 
     def without(points):
-        terms = np.kron(polynomial_terms(place, 3), np.eye(2))
-        terms = np.hstack([terms, camera_terms(place, reference).reshape(len(terms), -1)])
+        terms = np.kron(distortion.polynomial_terms(place, 3), np.eye(2))
+        terms = np.hstack([terms, distortion.camera_terms(place, reference).reshape(len(terms), -1)])
         kept = np.setdiff1d(np.arange(2 * len(place)), np.add.outer(2 * np.asarray(points), [0, 1]))
         fit = np.linalg.lstsq(terms[kept], offset.ravel()[kept], rcond=None)[0]
         return (offset.ravel() - terms @ fit).reshape(-1, 2)[points]
@@ -108,7 +95,7 @@ def test_a_map_that_rows_do_not_test_is_not_stated():
             [0.0 * place[:, 1], 0.25 * np.prod([place[:, 1] / 0.6 - a for a in (-1, -1 / 3, 1 / 3, 1)], 0)]
         )
         offset = wave + np.random.default_rng(1).normal(0.0, 0.001, place.shape)
-        found = np.sqrt((deleted_residuals_px(place, offset, 3, "aligned") ** 2).mean((1, 2)))
+        found = np.sqrt((distortion.deleted_residuals_px(place, offset, 3, "aligned") ** 2).mean((1, 2)))
         assert np.isfinite(found[1]) == tested
         if tested:
             assert found[1] > 0.02
@@ -125,7 +112,7 @@ def test_a_correction_that_is_the_lens_leaves_only_what_it_lacks():
     lens = lens + np.stack([np.ones_like(x), x, y], axis=1) @ linear
     extra = np.stack([0 * y, y**2], axis=1)
     given = {"camera_px": camera, "polynomial_px": linear, "reference": "aligned", "order": 1}
-    error = map_error_px(np.column_stack([x, y]), lens + extra, **given)
+    error = distortion.map_error_px(np.column_stack([x, y]), lens + extra, **given)
     np.testing.assert_allclose(error, extra - extra.mean(0), atol=1e-10)
 
 
@@ -134,11 +121,11 @@ def test_the_order_of_the_lens_is_the_best_of_those_tested():
     rng, x, y = np.random.default_rng(5), np.linspace(-0.9, 0.9, 12), np.linspace(-0.45, 0.45, 9)
     position = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
     offset = 5.0 * position * (position**2).sum(1, keepdims=True) ** 2 + 0.01 * rng.standard_normal(position.shape)
-    tried = compare_orders(position, offset, "aligned", highest=7)
+    tried = distortion.compare_orders(position, offset, "aligned", highest=7)
     assert (tried.best_order, tried.tested_order) == (5, 7)
     assert tried.over_best(3) > 10.0
     assert tried.residual_px[4] == pytest.approx(0.01, rel=0.2)
-    few = compare_orders(PLACE, np.zeros_like(PLACE), "aligned")
+    few = distortion.compare_orders(PLACE, np.zeros_like(PLACE), "aligned")
     assert few.tested_order == 2
     assert few.order.tolist() == [1, 2, 3, 4, 5, 6]
 
@@ -148,14 +135,16 @@ def test_a_change_of_shift_roll_and_scale_is_none(scaled):
     """Noise on top of it remains, by its degrees of freedom; a scale only where that is fitted."""
     rng = np.random.default_rng(3)
     rigid = np.array([2.0, -1.0]) + PLACE @ np.array([[0.0, 0.3], [-0.3, 0.0]])
-    noise = [map_change_px(PLACE, rigid + rng.normal(0.0, 0.1, PLACE.shape), scaled=scaled) for _ in range(200)]
+    noise = [
+        distortion.map_change_px(PLACE, rigid + rng.normal(0.0, 0.1, PLACE.shape), scaled=scaled) for _ in range(200)
+    ]
     assert np.sqrt(np.mean(np.square(noise))) == pytest.approx(0.1, rel=0.03)
-    grown = map_change_px(PLACE, rigid + 0.5 * PLACE, scaled=scaled)
+    grown = distortion.map_change_px(PLACE, rigid + 0.5 * PLACE, scaled=scaled)
     assert (grown < 1e-12) == scaled
 
 
 def test_a_polynomial_of_each_axis_leaves_the_noise():
     rng = np.random.default_rng(4)
-    cubic = polynomial_terms(PLACE, 3) @ rng.normal(size=(10, 2))
-    rms = [polynomial_rms_px(PLACE, cubic + rng.normal(0.0, 0.1, PLACE.shape)) for _ in range(200)]
+    cubic = distortion.polynomial_terms(PLACE, 3) @ rng.normal(size=(10, 2))
+    rms = [distortion.polynomial_rms_px(PLACE, cubic + rng.normal(0.0, 0.1, PLACE.shape)) for _ in range(200)]
     assert np.sqrt(np.mean(np.square(rms))) == pytest.approx(0.1, rel=0.03)

@@ -5,20 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.accuracy.distortion import (
-    REFERENCES,
-    camera_terms,
-    deleted_rms_px,
-    distortion_statistics,
-    grid_residual_px,
-    map_error_px,
-)
-from calib.accuracy.distortion_prediction import (
-    GridErrors,
-    camera_projector,
-    expected_map_error,
-    expected_numbers,
-)
+from calib.accuracy import distortion
+from calib.accuracy.distortion_prediction import GridErrors, camera_projector, expected_map_error, expected_numbers
 
 ORDER, CHIPS, SURVEYS = 3, 40, 25
 
@@ -52,12 +40,12 @@ def _drawn(errors, reference):
         earlier, test = (true + (of_session @ one)[..., 0] for one in normal[1:])
         for _ in range(SURVEYS):
             nominal = 1000.0 * errors.position + errors.marking_px * rng.standard_normal((32, 2))
-            d, _ = grid_residual_px(nominal, nominal / 1000.0, earlier, test, reference)
-            numbers.append(distortion_statistics(nominal / 1000.0, d, ORDER).sigma_px)
+            d, _ = distortion.grid_residual_px(nominal, nominal / 1000.0, earlier, test, reference)
+            numbers.append(distortion.distortion_statistics(nominal / 1000.0, d, ORDER).sigma_px)
     return np.reshape(numbers, (CHIPS, SURVEYS, 3, 2))
 
 
-@pytest.mark.parametrize("reference", REFERENCES)
+@pytest.mark.parametrize("reference", distortion.REFERENCES)
 def test_numbers_are_those_of_drawn_errors(errors, reference):
     """Rationale: quadratic forms with projectors made otherwise. Expected: RMS and both scatters within sampling."""
     predicted, drawn = expected_numbers(errors, ORDER, reference), _drawn(errors, reference)
@@ -90,7 +78,7 @@ def test_a_camera_is_projected_onto_itself_and_nothing_else(reference, count):
     """Terms of Brown and Conrady in real coordinates; a projector has the trace of its dimension."""
     position = np.random.default_rng(1).uniform(-1.0, 1.0, (40, 2))
     projector = camera_projector(position, reference)
-    terms = camera_terms(position, reference).reshape(80, count)
+    terms = distortion.camera_terms(position, reference).reshape(80, count)
     np.testing.assert_allclose(projector @ terms, terms, atol=1e-12)
     assert np.trace(projector) == pytest.approx(count)
     np.testing.assert_allclose(projector @ projector, projector, atol=1e-12)
@@ -108,7 +96,7 @@ def wide_lens(position):
     return position * (40.0 * r2 + 15.0 * r2**2 + 5.0 * r2**3)
 
 
-@pytest.mark.parametrize("reference", REFERENCES)
+@pytest.mark.parametrize("reference", distortion.REFERENCES)
 def test_the_map_error_of_a_wide_lens_is_predicted_for_every_camera(reference):
     """8 x 4 points, order 3, a distortion of order 7: bias as reduced, noise of 300 surveys.
 
@@ -119,10 +107,10 @@ def test_the_map_error_of_a_wide_lens_is_predicted_for_every_camera(reference):
 
     def true_error(noise):
         measured = offset + noise
-        d, camera = grid_residual_px(np.zeros_like(position), position, measured, measured, reference)
-        fit = distortion_statistics(position, d, ORDER).coefficient_px
+        d, camera = distortion.grid_residual_px(np.zeros_like(position), position, measured, measured, reference)
+        fit = distortion.distortion_statistics(position, d, ORDER).coefficient_px
         given = {"camera_px": camera, "polynomial_px": fit, "reference": reference, "order": ORDER}
-        return map_error_px(field, field_offset, **given)
+        return distortion.map_error_px(field, field_offset, **given)
 
     sigma, rng = 0.1, np.random.default_rng(4)
     expected = expected_map_error(
@@ -132,7 +120,7 @@ def test_the_map_error_of_a_wide_lens_is_predicted_for_every_camera(reference):
     np.testing.assert_allclose(expected.bias_px, np.sqrt((exact**2).mean(0)), rtol=1e-6)
     change = np.array([true_error(sigma * rng.standard_normal(position.shape)) - exact for _ in range(300)])
     np.testing.assert_allclose(expected.noise_px, np.sqrt((change**2).mean((0, 1))), rtol=4.0 / np.sqrt(2 * 300 * 7))
-    left_out = deleted_rms_px(position, offset, ORDER, reference)
+    left_out = distortion.deleted_rms_px(position, offset, ORDER, reference)
     assert expected.bias_px.min() > 1.2 * left_out[0].max()
     assert np.isnan(left_out[1]).all()  # four rows do not test a cubic: without one of them it is arbitrary
 
@@ -140,7 +128,7 @@ def test_the_map_error_of_a_wide_lens_is_predicted_for_every_camera(reference):
 def test_a_cubic_map_follows_a_cubic_lens():
     position, field = grid(5, 6), grid(8, 12)
     cubic = [3.0 * at * (at**2).sum(1, keepdims=True) - 0.7 * at[:, ::-1] ** 2 for at in (position, field)]
-    for reference in REFERENCES:
+    for reference in distortion.REFERENCES:
         found = expected_map_error(
             position, cubic[0], field, cubic[1], order=3, reference=reference, point_error_px=0.0
         )

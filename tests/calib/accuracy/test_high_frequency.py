@@ -5,18 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.accuracy.high_frequency import (
-    _degrees,
-    exchanged_positions,
-    high_frequency_error,
-    independent_position_rms_px,
-    position_error,
-    position_rms_px,
-    sigma_without_common_motion_px,
-    step_residual_px,
-    step_rms_px,
-    step_rms_standard_error_px,
-)
+from calib.accuracy import high_frequency
 
 M, W = 400, 25
 STARS = np.random.default_rng(5).uniform(0.0, 2000.0, (W, 2))
@@ -24,13 +13,13 @@ STARS = np.random.default_rng(5).uniform(0.0, 2000.0, (W, 2))
 
 def test_common_motion_cancels():
     walk = np.random.default_rng(0).normal(size=(M, 1, 2)).cumsum(0)
-    assert np.abs(step_residual_px(STARS + walk)).max() < 1e-9
+    assert np.abs(high_frequency.step_residual_px(STARS + walk)).max() < 1e-9
 
 
 def test_a_star_that_jumps_once_is_seen_in_one_step():
     mean = np.tile(STARS, (4, 1, 1))
     mean[2:, 3, 0] += 0.5
-    left = step_residual_px(mean)
+    left = high_frequency.step_residual_px(mean)
     assert left[1, 3, 0] == pytest.approx(0.5 * (1 - 1 / W))
     assert np.abs(left[[0, 2]]).max() < 1e-12
     assert np.abs(left[..., 1]).max() < 1e-12
@@ -42,29 +31,31 @@ def test_independent_errors_show_sqrt_2_times_in_the_steps_and_once_when_halved(
     error = sigma * rng.normal(size=(M, W, 2))
     mean = STARS + error + noise / np.sqrt(frames) * rng.normal(size=(M, W, 2))
     margin = 4.0 / np.sqrt(M * W)  # two axes, differences share positions: variance of the square is below 3 / (M W)
-    document = step_rms_px(mean)
+    document = high_frequency.step_rms_px(mean)
     expected = np.sqrt(2.0 * (sigma**2 + noise**2 / frames) * (1 - 1 / W))
     np.testing.assert_allclose(document, expected, rtol=margin)
     np.testing.assert_allclose(
-        independent_position_rms_px(document, np.full((M, W, 2), noise), frames), sigma, rtol=2 * margin
+        high_frequency.independent_position_rms_px(document, np.full((M, W, 2), noise), frames), sigma, rtol=2 * margin
     )
-    np.testing.assert_allclose(position_rms_px(mean - STARS, np.full((M, W, 2), noise), frames), sigma, rtol=2 * margin)
+    np.testing.assert_allclose(
+        high_frequency.position_rms_px(mean - STARS, np.full((M, W, 2), noise), frames), sigma, rtol=2 * margin
+    )
 
 
 def test_errors_that_neighbours_share_do_not_show_in_the_steps():
     error = np.tile(0.1 * np.random.default_rng(2).normal(size=(1, W, 2)), (M, 1, 1))
-    assert step_rms_px(STARS + error).max() < 1e-9
-    assert position_rms_px(error).min() > 0.05
+    assert high_frequency.step_rms_px(STARS + error).max() < 1e-9
+    assert high_frequency.position_rms_px(error).min() > 0.05
 
 
 def test_the_jackknife_gives_the_scatter_from_one_set_of_stars_to_the_next():
     rng = np.random.default_rng(3)
     runs = [STARS + 0.02 * rng.normal(size=(12, W, 2)) for _ in range(200)]
-    scatter = np.std([step_rms_px(run) for run in runs], axis=0)
-    estimate = np.sqrt(np.mean([step_rms_standard_error_px(run) ** 2 for run in runs], axis=0))
-    printed = high_frequency_error(runs[0], 5.5)
-    np.testing.assert_allclose(printed.arcsec, 16.5 * step_rms_px(runs[0]))
-    np.testing.assert_allclose(printed.uncertainty_arcsec, 16.5 * step_rms_standard_error_px(runs[0]))
+    scatter = np.std([high_frequency.step_rms_px(run) for run in runs], axis=0)
+    estimate = np.sqrt(np.mean([high_frequency.step_rms_standard_error_px(run) ** 2 for run in runs], axis=0))
+    printed = high_frequency.high_frequency_error(runs[0], 5.5)
+    np.testing.assert_allclose(printed.arcsec, 16.5 * high_frequency.step_rms_px(runs[0]))
+    np.testing.assert_allclose(printed.uncertainty_arcsec, 16.5 * high_frequency.step_rms_standard_error_px(runs[0]))
     assert printed.n == W * 11
     np.testing.assert_allclose(estimate, scatter, rtol=0.25)  # 200 runs: 5 % each, and the jackknife's bias upwards
 
@@ -75,7 +66,7 @@ def test_degrees_of_freedom_of_correlated_steps():
     drawn = rng.standard_normal((4000, 13, free))
     left = drawn[:, 1:] + drawn[:, :-1]
     square = (left**2).sum((1, 2))
-    degrees = 1.0 / np.mean([1.0 / _degrees(one, free) for one in left])
+    degrees = 1.0 / np.mean([1.0 / high_frequency._degrees(one, free) for one in left])
     assert degrees == pytest.approx(2.0 * square.mean() ** 2 / square.var(), rel=0.08)
 
 
@@ -99,7 +90,9 @@ def estimates(error_px, frame_px, seed=3, **scenes):
     found = []
     for _ in range(RUNS):
         centroid = scene(rng, error_px, frame_px, **scenes)
-        found.append(position_error(centroid.mean(1), centroid.std(1, ddof=1), np.full(POSITIONS, FRAMES)))
+        found.append(
+            high_frequency.position_error(centroid.mean(1), centroid.std(1, ddof=1), np.full(POSITIONS, FRAMES))
+        )
     return found
 
 
@@ -128,7 +121,7 @@ def test_axes_do_not_know_of_one_another():
     """Axes exchanged, one of them with an error that neighbours share: every number goes along, degrees too."""
     centroid = scene(np.random.default_rng(4), [0.02, 0.08], 0.05, neighbours=0.5)
     one, other = (
-        position_error(at.mean(1), at.std(1, ddof=1), np.full(POSITIONS, FRAMES))
+        high_frequency.position_error(at.mean(1), at.std(1, ddof=1), np.full(POSITIONS, FRAMES))
         for at in (centroid, centroid[..., ::-1])
     )
     assert one.degrees[0] != pytest.approx(one.degrees[1], rel=0.01)
@@ -152,17 +145,17 @@ def test_exchanged_positions_are_found():
     commanded = 0.2 * np.outer(np.arange(12), [0.7, 0.7])
     turn = 0.97 * np.array([[0.985, -0.174], [0.174, 0.985]])
     measured = commanded @ turn.T + 0.01 * rng.standard_normal((12, 2))
-    assert exchanged_positions(measured, commanded) is None
+    assert high_frequency.exchanged_positions(measured, commanded) is None
     measured[[3, 8]] = measured[[8, 3]]
-    assert exchanged_positions(measured, commanded) == (3, 8)
-    assert exchanged_positions(measured[:4], commanded[:4]) is None
-    assert exchanged_positions(measured, commanded * np.nan) is None
+    assert high_frequency.exchanged_positions(measured, commanded) == (3, 8)
+    assert high_frequency.exchanged_positions(measured[:4], commanded[:4]) is None
+    assert high_frequency.exchanged_positions(measured, commanded * np.nan) is None
 
 
 def test_motion_that_all_stars_share_is_not_noise_of_a_star():
     """Frames whose line of sight walks by 1 px: the scatter is that of the stars' own 0.02 px, known to 1 %."""
     rng = np.random.default_rng(9)
     walk = rng.standard_normal((40, 10, 1, 2))
-    sigma = sigma_without_common_motion_px(walk + 0.02 * rng.standard_normal((40, 10, W, 2)))
+    sigma = high_frequency.sigma_without_common_motion_px(walk + 0.02 * rng.standard_normal((40, 10, W, 2)))
     assert sigma.shape == (10, W, 2)
     assert np.sqrt((sigma**2).mean()) == pytest.approx(0.02, rel=4.0 / np.sqrt(2 * 39 * 10 * W * 2))

@@ -4,21 +4,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.special import erf
+from star_images import gaussian_epsf
 
 from calib.accuracy.frame_check import centroid_scatter, false_alarms_against, limit_shift, rms_against_sigma
 from calib.accuracy.star_errors import DetectionLimit, FrameNoise, StarErrors, colour_distance, mean_snr, star_errors
 from calib.records import NoiseModel
-from render.records import EffectivePsf
 
 SIGMA_PX, FWHM_PX, READ_E, DARK_FRAMES, BACKGROUND_E = 1.6, 1.6 * 2.3548, 20.0, 4, 30.0
-
-
-def gaussian(sigma_px):
-    """Pixel-integrated Gaussian."""
-    offset = np.arange(-80, 81) / 8.0
-    line = 0.5 * np.diff([erf((offset + edge) / (np.sqrt(2.0) * sigma_px)) for edge in (-0.5, 0.5)], axis=0)[0]
-    return EffectivePsf(values=np.outer(line, line), oversampling=8)
 
 
 FRAME = FrameNoise(
@@ -35,9 +27,8 @@ LIMIT = DetectionLimit(frame=FRAME, pixels=10**6, fwhm_px=FWHM_PX, threshold_sig
 
 @pytest.fixture(scope="module")
 def stars():
-    wider, sharper = gaussian(2.0), gaussian(1.28)
-    others = ((wider, wider), (sharper, sharper))
-    return star_errors((gaussian(SIGMA_PX),) * 2, LIMIT, radius_px=(0.0, 500.0), window_px=15, other_psfs=others)
+    usual, wider, sharper = ((gaussian_epsf(sigma, 8, 10),) * 2 for sigma in (SIGMA_PX, 2.0, 1.28))
+    return star_errors(usual, LIMIT, radius_px=(0.0, 500.0), window_px=15, other_psfs=(wider, sharper))
 
 
 def test_noise_of_frames():
@@ -62,7 +53,7 @@ def test_noise_and_pattern_of_a_faint_star(stars):
 def test_signal_to_noise_with_matched_weights():
     """Faint: N / sqrt(B) times the root of the sum of squares of the PSF, 1 / (2 sqrt(pi) s)."""
     expected = 50.0 / np.sqrt(FRAME.empty_e2) / (2.0 * np.sqrt(np.pi) * np.sqrt(SIGMA_PX**2 + 1.0 / 12.0))
-    assert mean_snr(gaussian(SIGMA_PX), 50.0, FRAME, 15) == pytest.approx(expected, rel=0.04)
+    assert mean_snr(gaussian_epsf(SIGMA_PX, 8, 10), 50.0, FRAME, 15) == pytest.approx(expected, rel=0.04)
 
 
 def test_half_of_the_stars_are_detected_where_the_filtered_light_is_the_threshold(stars):
@@ -81,7 +72,7 @@ def test_sharper_spots_count_for_more_light(stars):
 
 
 def test_a_single_psf_is_that_of_the_whole_field(stars):
-    alone = star_errors((gaussian(SIGMA_PX),), LIMIT, window_px=15)
+    alone = star_errors((gaussian_epsf(SIGMA_PX, 8, 10),), LIMIT, window_px=15)
     np.testing.assert_allclose(alone.centroid.noise_px[0], stars.centroid.noise_px[0])
     assert not alone.colour_px.any()
 

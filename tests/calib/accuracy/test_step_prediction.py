@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from star_images import gaussian_epsf
 
 from calib.accuracy.step_prediction import StepModel, step_term
 from calib.measure.centroid_error.expected_windows import expected_windows
@@ -22,12 +23,7 @@ REST = np.array([[20.1, 20.2], [61.2, 20.0], [101.8, 20.8], [20.0, 60.9], [60.9,
 
 @pytest.fixture(scope="module")
 def psf():
-    """A Gaussian of 0.6 px integrated over pixels."""
-    from scipy.special import ndtr
-
-    offset = np.arange(-64, 65) / 8.0
-    line = ndtr((offset + 0.5) / 0.6) - ndtr((offset - 0.5) / 0.6)
-    return EffectivePsf(values=np.outer(line, line), oversampling=8)
+    return gaussian_epsf(0.6, 8)
 
 
 def windows(psf, step=STEP, offset=0.0):

@@ -9,12 +9,9 @@ from calibration_scene import CAMERA, GEOMETRY
 from scipy.spatial.transform import Rotation
 from star_directions import sky_directions
 
+from calib import BrownConrady, StarFlag, StarTable, identify_stars, solve_attitude
 from calib.attitude import star_attitude
 from calib.attitude.identify import failed
-from calib.attitude.star_attitude import identify_stars, solve_attitude
-from calib.cameras import BrownConrady
-from calib.flags import StarFlag
-from calib.records import StarTable
 from optics.attitude import attitude_from_angles
 from optics.records import locked
 

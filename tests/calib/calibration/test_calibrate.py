@@ -6,14 +6,8 @@ import numpy as np
 import pytest
 from calibration_scene import CAMERA, GEOMETRY, START, make_scene
 
-from calib.calibration.attitude_correlated import AttitudeCorrelated
-from calib.calibration.calibrate import calibrate
-from calib.calibration.free_attitudes import FreeAttitudes
+from calib import AttitudeCorrelated, BrownConrady, FreeAttitudes, NoAttitude, Polynomial, SensorGeometry, calibrate
 from calib.calibration.gyro_linked import GyroLinked, GyroNoise
-from calib.calibration.interstar_angles import NoAttitude
-from calib.cameras.base import SensorGeometry
-from calib.cameras.brown_conrady import BrownConrady
-from calib.cameras.polynomial import Polynomial
 from optics.errors import DomainError
 from optics.frames import pixel_to_tetra3rs
 

@@ -8,12 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.calibration.camera_order import (
-    as_calibrated,
-    calibrate_with_floor,
-    cross_validate,
-    simplest_adequate,
-)
+from calib import BrownConrady, Observations, Polynomial, SensorGeometry
+from calib.calibration.camera_order import as_calibrated, calibrate_with_floor, cross_validate, simplest_adequate
 from calib.calibration.frame_attitudes import (
     camera_residuals,
     frame_attitude,
@@ -21,11 +17,8 @@ from calib.calibration.frame_attitudes import (
     predicted_residuals,
     split_half_error_arcsec,
 )
-from calib.calibration.observations import Observations
-from calib.cameras import BrownConrady, Polynomial, SensorGeometry
 from calib.cameras.fit import as_brown_conrady, fit_to_map
 from optics.attitude import attitude_error_arcsec
-from optics.errors import DomainError
 
 GEOMETRY = SensorGeometry(width_px=800, height_px=600, pixel_pitch_mm=0.01)
 CAMERA = BrownConrady.create(GEOMETRY, focal_length_mm=30.0, q1_per_mm2=-4e-4)
@@ -73,8 +66,6 @@ def test_frames_with_a_given_camera():
     _, used = predicted_residuals(shifted, CAMERA)
     assert not used[0]
     assert used[1:].sum() >= 57
-    with pytest.raises(DomainError, match="attitude of 1 stars"):
-        frame_attitude(one.select([0]), CAMERA)
 
 
 def test_halves_of_the_stars_state_the_error_of_the_attitude():

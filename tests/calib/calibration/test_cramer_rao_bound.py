@@ -7,14 +7,8 @@ import pytest
 from calibration_scene import CAMERA, START, assert_same_covariance, make_scene
 from scipy.spatial.transform import Rotation
 
-from calib.calibration.attitude_correlated import AttitudeCorrelated
-from calib.calibration.calibrate import calibrate
-from calib.calibration.cramer_rao_bound import bound
-from calib.calibration.free_attitudes import FreeAttitudes
+from calib import AttitudeCorrelated, FreeAttitudes, NoAttitude, Observations, TurntableAttitudes, bound, calibrate
 from calib.calibration.gyro_linked import GyroLinked, GyroNoise
-from calib.calibration.interstar_angles import NoAttitude
-from calib.calibration.observations import Observations
-from calib.calibration.turntable import TurntableAttitudes
 
 NOISE = GyroNoise.from_data_sheet(angle_random_walk_deg_per_sqrt_h=0.05, bias_deg_per_h=1.0)
 

@@ -8,9 +8,7 @@ from calibration_scene import CAMERA, GEOMETRY, NARROW, START, assert_same_covar
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from calib.calibration.calibrate import calibrate
-from calib.calibration.free_attitudes import FreeAttitudes
-from calib.calibration.observations import Observations
+from calib import FreeAttitudes, Observations, calibrate
 from calib.cameras.per_band import PerBand
 
 

@@ -7,10 +7,7 @@ import pytest
 from calibration_scene import CAMERA, make_scene
 from scipy.spatial.transform import Rotation
 
-from calib.calibration.attitude_correlated import AttitudeCorrelated
-from calib.calibration.cramer_rao_bound import bound
-from calib.calibration.free_attitudes import FreeAttitudes
-from calib.calibration.gyro_linked import GyroLinked, GyroNoise
+from calib import AttitudeCorrelated, FreeAttitudes, GyroLinked, GyroNoise, bound
 
 GOOD = GyroNoise.from_data_sheet(angle_random_walk_deg_per_sqrt_h=0.05, bias_deg_per_h=5.0)
 

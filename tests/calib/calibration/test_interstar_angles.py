@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from calibration_scene import CAMERA, GEOMETRY, START, make_scene
 
-from calib.calibration.calibrate import calibrate
-from calib.calibration.free_attitudes import FreeAttitudes
-from calib.calibration.interstar_angles import NoAttitude
+from calib import FreeAttitudes, NoAttitude, calibrate
 from calib.cameras import PerBand
 from calib.cameras.line_of_sight import line_of_sight_map
 

@@ -7,16 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.gyro_attitude import link_attitudes
+from calib.calibration import linked_design
 from calib.calibration.drawn_stars import draw_stars
-from calib.calibration.linked_design import (
-    GyroDrift,
-    LinkedDesign,
-    correlated_covariance,
-    free_bound,
-    linked_bound,
-    reprojection,
-    stars_of_reprojection,
-)
 from experiments.acf.settings import Config, SweepConfig
 from experiments.acf.simulate import build_scene, gyro_rotations
 from optics.units import DEG_RAD
@@ -38,11 +30,11 @@ def stars(scene):
 
 @pytest.fixture(scope="module")
 def design(scene, stars):
-    return LinkedDesign.at(scene.camera, scene.attitude, scene.installation, stars.direction, stars.frame)
+    return linked_design.LinkedDesign.at(scene.camera, scene.attitude, scene.installation, stars.direction, stars.frame)
 
 
 def gyro_drift(scene, bias=0.3, walk=0.05):
-    return GyroDrift.of(
+    return linked_design.GyroDrift.of(
         scene.time_s, scene.swept, bias_rad_per_s=bias * DEG_RAD / 3600, walk_rad_per_sqrt_s=walk * DEG_RAD / 60
     )
 
@@ -102,7 +94,7 @@ def test_derivatives_by_the_gyro(scene, stars, design):
 
 def test_reprojection_of_the_same_frames_is_the_closed_form(design):
     """tr[H (H'H)^-1 H'] = 14: with a perfect gyro n stars give sigma sqrt(14 / n) whatever the design."""
-    found = reprojection(design, design, SIGMA)
+    found = linked_design.reprojection(design, design, SIGMA)
     assert found.total_px == pytest.approx(SIGMA * np.sqrt(14 / len(design.frame)), rel=1e-9)
     # the square is sigma^2 / n times chi^2 of 14: mean of chi_14 / sqrt(14), variance of chi^2 = 28
     assert found.mean_px / found.total_px == pytest.approx(0.98230, abs=3e-4)
@@ -133,10 +125,10 @@ def test_reprojection_with_gyro_against_drawn_errors(scene, design):
     away = unknown @ (ahead / scale).T + shift(even, drift)
     length = np.sqrt((away**2).sum(1) / len(even.frame))
     # with the gyro's error, which ACC does not know of
-    spread = np.sqrt(np.diag(correlated_covariance(odd, SIGMA, error))) * scale
+    spread = np.sqrt(np.diag(linked_design.correlated_covariance(odd, SIGMA, error))) * scale
     np.testing.assert_allclose(np.sqrt((unknown**2).mean(0)), spread, rtol=4 / np.sqrt(6000) + 0.02)
-    assert (spread > 1.05 * np.sqrt(np.diag(correlated_covariance(odd, SIGMA))) * scale).any()
-    found = reprojection(odd, even, SIGMA, error)
+    assert (spread > 1.05 * np.sqrt(np.diag(linked_design.correlated_covariance(odd, SIGMA))) * scale).any()
+    found = linked_design.reprojection(odd, even, SIGMA, error)
     assert length.mean() == pytest.approx(
         found.mean_px, abs=4 * found.scatter_px / np.sqrt(3000) + 0.01 * found.mean_px
     )
@@ -147,11 +139,15 @@ def test_reprojection_with_gyro_against_drawn_errors(scene, design):
 
 def test_limits_of_the_weighted_gyro(scene, design):
     """A perfect gyro gives ACC, a useless one free attitudes; in between the bound is in between."""
-    perfect = np.diag(correlated_covariance(design, SIGMA))[:8]
-    alone = np.diag(free_bound(design, SIGMA))
-    assert np.diag(linked_bound(design, SIGMA, gyro_drift(scene, 0.0, 0.0)))[:8] == pytest.approx(perfect, rel=1e-9)
-    assert np.diag(linked_bound(design, SIGMA, gyro_drift(scene, 0.0, 1e4)))[:8] == pytest.approx(alone, rel=1e-3)
-    between = np.diag(linked_bound(design, SIGMA, gyro_drift(scene)))[:8]
+    perfect = np.diag(linked_design.correlated_covariance(design, SIGMA))[:8]
+    alone = np.diag(linked_design.free_bound(design, SIGMA))
+    assert np.diag(linked_design.linked_bound(design, SIGMA, gyro_drift(scene, 0.0, 0.0)))[:8] == pytest.approx(
+        perfect, rel=1e-9
+    )
+    assert np.diag(linked_design.linked_bound(design, SIGMA, gyro_drift(scene, 0.0, 1e4)))[:8] == pytest.approx(
+        alone, rel=1e-3
+    )
+    between = np.diag(linked_design.linked_bound(design, SIGMA, gyro_drift(scene)))[:8]
     assert np.all(perfect < between)
     assert np.all(between < alone)
 
@@ -160,19 +156,19 @@ def test_trusting_a_gyro_is_never_better_than_weighting_it(scene, design):
     for factor in (0.1, 1.0, 10.0):
         error = gyro_drift(scene, 0.3 * factor, 0.05 * factor)
         assert np.all(
-            np.diag(correlated_covariance(design, SIGMA, error))
-            >= np.diag(linked_bound(design, SIGMA, error)) * (1 - 1e-9)
+            np.diag(linked_design.correlated_covariance(design, SIGMA, error))
+            >= np.diag(linked_design.linked_bound(design, SIGMA, error)) * (1 - 1e-9)
         )
 
 
 def test_lonely_stars_tell_nothing_of_the_camera(design):
     """A frame of one star has two measurements and three unknowns."""
-    everything = free_bound(design, SIGMA)
+    everything = linked_design.free_bound(design, SIGMA)
     keep = design.frame != 5
     lonely = keep.copy()
     lonely[np.flatnonzero(~keep)[0]] = True
-    without = np.diag(free_bound(design.select(keep), SIGMA))
-    assert np.diag(free_bound(design.select(lonely), SIGMA)) == pytest.approx(without, rel=1e-9)
+    without = np.diag(linked_design.free_bound(design.select(keep), SIGMA))
+    assert np.diag(linked_design.free_bound(design.select(lonely), SIGMA)) == pytest.approx(without, rel=1e-9)
     assert np.all(np.diag(everything) < without)
 
 
@@ -191,7 +187,7 @@ def test_covariance_of_the_gyro_against_the_simulated_one(scene):
     assert np.abs(away).max() < 4.5 * np.sqrt(2 / 500)
     # frames at any times: a walk has the covariance of the earlier one
     time = np.array([0.0, 1.0, 5.0, 5.5])
-    walk = GyroDrift.of(time, np.zeros((4, 3, 3)), bias_rad_per_s=1.0, walk_rad_per_sqrt_s=2.0).covariance
+    walk = linked_design.GyroDrift.of(time, np.zeros((4, 3, 3)), bias_rad_per_s=1.0, walk_rad_per_sqrt_s=2.0).covariance
     np.testing.assert_allclose(walk, 4.0 * np.kron(np.minimum.outer(time, time), np.eye(3)), atol=1e-12)
 
 
@@ -216,7 +212,7 @@ def test_number_of_stars_that_gives_an_error(scene, design):
     """Twice the mean square of the stars, less the gyro's own: half of the stars."""
     odd, even = (design.select(design.frame % 2 == k) for k in (0, 1))
     error = gyro_drift(scene)
-    stars2, both2 = (reprojection(odd, even, SIGMA, one).total_px ** 2 for one in (None, error))
-    factor, gyro2 = stars_of_reprojection(odd, even, SIGMA, error, both2 + stars2)
+    stars2, both2 = (linked_design.reprojection(odd, even, SIGMA, one).total_px ** 2 for one in (None, error))
+    factor, gyro2 = linked_design.stars_of_reprojection(odd, even, SIGMA, error, both2 + stars2)
     assert (factor, gyro2) == (pytest.approx(0.5), pytest.approx(both2 - stars2))
-    assert stars_of_reprojection(odd, even, SIGMA, error, 0.5 * gyro2)[0] == np.inf
+    assert linked_design.stars_of_reprojection(odd, even, SIGMA, error, 0.5 * gyro2)[0] == np.inf

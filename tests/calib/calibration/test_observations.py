@@ -5,7 +5,6 @@ import pytest
 from star_directions import sky_directions
 
 from calib.calibration.observations import Observations
-from optics.errors import DomainError
 
 N = 6
 
@@ -48,8 +47,6 @@ def test_select_keeps_the_numbers_of_the_frames():
         assert part.star.tolist() == [2, 3]
         np.testing.assert_array_equal(part.direction, observations.direction[2:4])
     assert len(observations.select(np.zeros(N, bool))) == 0
-    with pytest.raises(DomainError, match="mask"):
-        observations.select([True, False])
 
 
 def test_an_empty_list_has_all_its_columns():

@@ -7,16 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 from star_bench_scene import MODEL, SENSOR, star_bench
 
+from calib.calibration import table_reduction
 from calib.calibration.star_bench import aiming_angles
 from calib.calibration.table_axes import TableAxes
-from calib.calibration.table_reduction import (
-    PoseData,
-    calibrate_on_table,
-    calibrated_bench,
-    check_count,
-    check_fit,
-    check_parity,
-)
 from calib.cameras import BrownConrady
 from optics.units import ARCSEC_RAD
 
@@ -36,16 +29,18 @@ def exact(bench):
     """81 places over the detector, without noise."""
     angle = aiming_angles(bench, MODEL.unproject(SENSOR.grid_px(9)), np.zeros(81))
     covariance = np.tile(np.array([[4e-4, 1e-4], [1e-4, 2e-4]]), (81, 1, 1))
-    return PoseData(pixel_px=MODEL.project(bench.star_in_cam(angle)), covariance_px2=covariance, reading_rad=angle)
+    return table_reduction.PoseData(
+        pixel_px=MODEL.project(bench.star_in_cam(angle)), covariance_px2=covariance, reading_rad=angle
+    )
 
 
 def test_exact_data_give_the_bench_back(bench, exact):
     """The estimator is linear in the lean: (8 arcsec)^2 is 1.5e-9 rad."""
-    check_count(8, BELIEVED)
-    check_parity(exact, BELIEVED, START, AHEAD)
-    calibration = calibrate_on_table(exact, BELIEVED, START, leans=True)
-    check_fit(calibration, "exact", "")
-    found = calibrated_bench(calibration, BELIEVED)
+    table_reduction.check_count(8, BELIEVED)
+    table_reduction.check_parity(exact, BELIEVED, START, AHEAD)
+    calibration = table_reduction.calibrate_on_table(exact, BELIEVED, START, leans=True)
+    table_reduction.check_fit(calibration, "exact", "")
+    found = table_reduction.calibrated_bench(calibration, BELIEVED)
     assert found.table.non_orthogonality_arcsec[0] * ARCSEC_RAD == pytest.approx(LEAN_ARCSEC * ARCSEC_RAD, abs=2e-7)
     np.testing.assert_allclose(found.star, bench.star, atol=1e-7)
     np.testing.assert_allclose(
@@ -60,10 +55,10 @@ def test_known_moves_of_the_data_come_back_with_their_sign(bench, exact):
     """
     shift, outer, inner = np.array([0.9, -0.6]), 60.0 * ARCSEC_RAD, -40.0 * ARCSEC_RAD
     moved = replace(exact, pixel_px=exact.pixel_px + shift, reading_rad=exact.reading_rad + np.array([outer, inner]))
-    before, after = (calibrate_on_table(data, BELIEVED, START, leans=True) for data in (exact, moved))
+    before, after = (table_reduction.calibrate_on_table(data, BELIEVED, START, leans=True) for data in (exact, moved))
     for name, size in zip(("x0_px", "y0_px"), shift, strict=True):
         assert after.model.value(name) - before.model.value(name) == pytest.approx(size, rel=1e-3)
-    first, second = (calibrated_bench(one, BELIEVED) for one in (before, after))
+    first, second = (table_reduction.calibrated_bench(one, BELIEVED) for one in (before, after))
     np.testing.assert_allclose(
         second.star, Rotation.from_rotvec([outer, 0, 0]).apply(first.star.copy()), atol=1e-3 * outer
     )

@@ -7,11 +7,9 @@ import pytest
 from calibration_scene import CAMERA, NARROW, START, document_matrix
 from scipy.spatial.transform import Rotation
 
+from calib import Observations, TableErrors, TurntableAttitudes, calibrate, star_direction
 from calib.calibration.attitude_family import RotationFamily
-from calib.calibration.calibrate import calibrate
-from calib.calibration.observations import Observations
 from calib.calibration.table_axes import TableAxes
-from calib.calibration.turntable import TableErrors, TurntableAttitudes, star_direction
 from calib.fitting.robust_loss import get_loss
 from optics.units import ARCSEC_RAD
 

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from star_images import gaussian_stars
 
-from calib.detector.hot_pixels import find_hot_pixels, without_pixels
+from calib import detect, detection_noise, find_hot_pixels, read_images, sensor_image, without_pixels
 from calib.flags import StarFlag, has_flag
-from calib.measure.detection.matched_filter import detect, detection_noise
-from calib.measure.images.sensor_image import read_images, sensor_image
 
 SIDE = 256
 REAL = Path(__file__).parents[4] / "shared" / "real"

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from star_images import frame_of, noisy, star_field
 
+from calib import detect, sensor_image
 from calib.flags import StarFlag, has_flag
-from calib.measure.detection.matched_filter import detect
 from calib.measure.find import find_stamps, find_stars
-from calib.measure.images.sensor_image import sensor_image
 from calib.records import NoiseModel
 
 SHAPE = (160, 220)

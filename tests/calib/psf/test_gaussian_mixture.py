@@ -9,8 +9,7 @@ from scipy.special import ndtr
 from calib.photometry.spectral_response import WAVELENGTHS_NM
 from calib.psf.chromatic_psf import CLASS_K, PSF_WAVES_NM, mixture_table
 from calib.psf.gaussian_mixture import MixturePsf, StarWindows, colour_class, fit_psf, psf_fluxes
-from optics.light.magnitudes import photon_rate
-from optics.light.spectrum import Blackbody
+from optics import Blackbody, photon_rate
 
 SIZE_PX, MIDDLE, ONE = (1024, 768), np.array([[511.5, 383.5]]), np.array([1])
 

@@ -9,9 +9,7 @@ from refusals import refuses
 from optics import chief_ray_points, load_lens, read_lens_file, vignetting
 from optics.errors import ConfigError
 
-PLATE = """VERS 190513 80 123457 L123457
-MODE SEQ
-NAME plate behind a stop
+PLATE = """MODE SEQ
 UNIT MM X W X CM MR CPMM
 ENPD 10
 FTYP 0 0 2 1 0 0 0
@@ -20,32 +18,25 @@ YFLN 0 {field}
 VDYN 0 {shift}
 VCYN 0 {squeeze}
 WAVM 1 0.5876 1
-PWAV 1
 SURF 0
-  TYPE STANDARD
   DISZ INFINITY
 SURF 1
   STOP
-  TYPE STANDARD
-  CURV 0
   DISZ 20
 SURF 2
   TYPE PARAXIAL
   PARM 1 50
   DISZ {gap}
 SURF 3
-  TYPE STANDARD
   CURV {front}
   DISZ {thick}
   GLAS N-BK7 0 0 1.5168 64.17
 {wide}
 SURF 4
-  TYPE STANDARD
   CURV {back}
   DISZ {last}
 {wide}
 SURF 5
-  TYPE STANDARD
 """
 USUAL = {"field": 10, "shift": 0, "squeeze": 0, "gap": 5, "front": 0, "thick": 4, "back": 0, "last": 41.4, "wide": ""}
 

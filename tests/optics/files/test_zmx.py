@@ -191,27 +191,9 @@ def test_paraxial_and_toroidal_surfaces(tmp_path: Path) -> None:
 
 def test_a_folded_lens_turns_as_the_file_says(tmp_path: Path) -> None:
     """A mirror at 45 deg about x between two coordinate breaks sends the axis to +y, pickup and order flag included."""
-    fold = """SURF 2
-  TYPE STANDARD
-  CURV -0.01
-  DISZ 20
-SURF 3
-  TYPE COORDBRK
-  PARM 3 45
-  DISZ 0
-SURF 4
-  TYPE STANDARD
-  CURV 0
-  DISZ 0
-  GLAS MIRROR 0 0 1.5 40
-SURF 5
-  TYPE COORDBRK
-  PARM 3 45
-  PPAR 3 3 1.0 0.0 0
-  DISZ -30
-SURF 6
-  TYPE STANDARD
-"""
+    turn = "  TYPE COORDBRK\n  PARM 3 45\n"
+    fold = f"SURF 2\n  CURV -0.01\n  DISZ 20\nSURF 3\n{turn}  DISZ 0\nSURF 4\n  DISZ 0\n  GLAS MIRROR 0 0 1.5 40\n"
+    fold += f"SURF 5\n{turn}  PPAR 3 3 1.0 0.0 0\n  DISZ -30\nSURF 6\n"
     text = SINGLET[: SINGLET.index("SURF 2")] + fold
     file = read_lens_file(written(tmp_path, text))
     assert file.lens.image_position_mm == pytest.approx([0.0, 30.0, 25.0], abs=1e-12)

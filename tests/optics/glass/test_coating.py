@@ -2,31 +2,15 @@
 
 import numpy as np
 import pytest
+from lens_texts import PLATE, coated
 
-from optics import LensSystem, get_glass, lens_transmission, read_lens_file
+from optics import get_glass, lens_transmission, read_lens_file
 from optics.glass.coating import BARE, Film, QuarterWave, Stack, TabulatedCoating
-from optics.lens.prescription import lens_from_table
 
 WAVES = np.array([420.0, 550.0, 780.0])
 ANGLES = np.radians([0.0, 20.0, 45.0, 70.0])
-THREE = Stack(
-    films=(
-        Film(thickness_nm=99.6, index=1.38),
-        Film(thickness_nm=134.0, index=2.05),
-        Film(thickness_nm=80.0, index=1.63),
-    )
-)
+THREE = Stack(films=tuple(Film(thickness_nm=d, index=n) for d, n in ((99.6, 1.38), (134.0, 2.05), (80.0, 1.63))))
 LOSSY = Stack(films=(Film(thickness_nm=60.0, index=2.1), Film(thickness_nm=12.0, index=0.8, extinction=3.0)))
-PLATE = {
-    "name": "plate",
-    "source": "test",
-    "design_wavelength_nm": 550.0,
-    "max_field_deg": 5.0,
-    "surface": [
-        {"kind": "plane", "thickness_mm": 5.0, "medium": "N-BK7", "semi_diameter_mm": 10.0, "stop": True},
-        {"kind": "plane", "thickness_mm": 5.0, "medium": "air", "semi_diameter_mm": 10.0},
-    ],
-}
 
 
 @pytest.mark.reference
@@ -85,14 +69,10 @@ def test_tables_are_linear_between_entries_and_hold_beyond_the_last_angle() -> N
     assert table.split(600.0, 1.5, 1.0, np.array([inside, 0.1])).reflectance_s == pytest.approx([0.02, 1.0])
 
 
-def coated(**more: object) -> LensSystem:
-    return lens_from_table({**PLATE, **more}, where="plate.toml")
-
-
 def test_lens_files_name_coatings_of_surfaces_and_of_all() -> None:
     table = {"kind": "table", "source": "test", "wavelength_nm": [400.0, 700.0], "reflectance": [[0.01, 0.01]]}
     lossy = {**table, "transmittance": [[0.97, 0.97]]}
-    surfaces = [{**PLATE["surface"][0], "coating": "lossy"}, PLATE["surface"][1]]  # type: ignore[index]
+    surfaces = [{**PLATE[0], "coating": "lossy"}, PLATE[1]]
     lens = coated(coating={"one": table, "lossy": lossy}, default_coating="one", surface=surfaces)
     given = lens_transmission(lens, 550.0, absorption=False, coating=QuarterWave())
     assert float(given) == pytest.approx(0.97 * 0.99, rel=1e-13)

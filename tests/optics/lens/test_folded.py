@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lens_texts import TABLE_HEAD as HEAD
 from scipy.optimize import minimize_scalar
 
 from optics import Conic, Rays, chief_ray_points, draw_lens, load_lens, spot_moments, trace
@@ -18,7 +19,6 @@ from optics.rays.paraxial import paraxial, refocused
 from optics.rays.reverse import retraced, reverse
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "lens_file.md"
-HEAD = {"name": "test", "source": "closed form", "design_wavelength_nm": 600.0, "max_field_deg": 1.0}
 
 # Cassegrain: primary of focal length 1000, secondary 700 in front of it, images its focus 300 behind onto 1200
 # (1/1200 - 1/300 = 2/R2), eccentricity (1200 + 300)/(1200 - 300)

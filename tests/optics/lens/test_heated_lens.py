@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from made_lens import made_glass, made_lens
 
-from optics import VACUUM, Plane, Rays, Sphere, decentre, get_glass, load_lens, paraxial, tilt, trace
+from optics import VACUUM, Plane, Rays, Sphere, decentre, get_glass, load_lens, paraxial, plate_scale_mm, tilt, trace
 from optics.glass.thermal_index import ThermalDispersion
 from optics.lens.heated_lens import COMPONENTS, Housing, Mount, ThermalState, heated_lens
 from optics.lens.system import HALF_TURN, Surface
 from optics.rays.chief_ray import chief_ray_points
-from optics.rays.distortion import plate_scale_mm
 
 LENS = load_lens("star_camera_206mm")
 ALUMINIUM = 23.6e-6

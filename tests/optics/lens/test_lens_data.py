@@ -4,16 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from lens_texts import loaded
+from lens_texts import MINIMAL, loaded
 
-from optics import Environment, EvenAsphere, field_direction, list_lenses, load_lens, paraxial
+from optics import Environment, EvenAsphere, field_direction, list_lenses, load_lens, paraxial, spot_moments
 from optics.lens.system import AMBIENT
 from optics.rays.chief_ray import chief_ray_points
 from optics.rays.distortion import distortion_map, plate_scale_mm
 from optics.rays.entrance_pupil import entrance_pupil, star_rays
 from optics.rays.lateral_colour import lateral_colour
 from optics.rays.pupil_sampling import PupilSamples
-from optics.rays.spots import spot_moments
 from optics.rays.trace import trace_path
 
 PIXEL_MM = 5.5e-3
@@ -114,26 +113,6 @@ def test_indices_in_vacuum_are_the_absolute_ones_of_the_glass(temperature):
         else:
             expected = lens.glasses[surface.medium].absolute_index(waves, temperature_c=temperature)
             np.testing.assert_allclose(index, expected, rtol=1e-15)
-
-
-MINIMAL = """
-name = "one"
-source = "test"
-design_wavelength_nm = 600.0
-max_field_deg = 2.0
-[stop]
-z_mm = -1.0
-semi_diameter_mm = 5.0
-[[surface]]
-radius_mm = 50.0
-thickness_mm = 5.0
-medium = "N-BK7"
-semi_diameter_mm = 6.0
-[[surface]]
-thickness_mm = 90.0
-medium = "air"
-semi_diameter_mm = 6.0
-"""
 
 
 def test_tilt_decentre_asphere_and_own_glass_from_a_file(tmp_path):

@@ -5,13 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from batoid_trace import batoid_rays, batoid_surface
-from lens_texts import table_lens
+from lens_texts import plate_lens, table_lens
 from made_lens import made_coating
 
-from optics import LensSystem, QuarterWave, field_direction, load_lens
+from optics import LensSystem, QuarterWave, field_direction, load_lens, sobol_disk
 from optics.rays.entrance_pupil import launch_disks, star_rays
 from optics.rays.ghosts import find_ghosts, ghost_pairs, trace_ghost, with_cover_glass
-from optics.rays.pupil_sampling import sobol_disk
 
 DETECTOR = 2e-3
 
@@ -77,22 +76,10 @@ def test_every_path_is_that_of_batoid(name: str) -> None:
     assert not theirs
 
 
-def plate(tilt_deg: float = 0.0) -> LensSystem:
-    """A plane plate in front of an ideal lens."""
-    face = {"kind": "plane", "semi_diameter_mm": 40.0, "tilt_deg": [tilt_deg, 0.0]}
-    thin = {"kind": "paraxial", "focal_length_mm": 50.0, "semi_diameter_mm": 5.0, "stop": True}
-    return table_lens(
-        {**face, "thickness_mm": 5.0, "medium": "N-BK7"},
-        {**face, "thickness_mm": 20.0, "medium": "air"},
-        {**thin, "thickness_mm": 50.0, "medium": "air"},
-        design_wavelength_nm=550.0, max_field_deg=5.0,
-    )  # fmt: skip
-
-
 @pytest.mark.parametrize("tilt_deg", [0.0, 35.0])
 def test_the_ghost_of_a_plane_plate(tilt_deg: float) -> None:
     """R^2 of the image, in its place and as sharp; R by Fresnel's sines and tangents, s and p averaged per surface."""
-    lens = plate(tilt_deg)
+    lens = plate_lens(tilt_deg)
     found = find_ghosts(lens, [0.0, 0.0, 1.0], detector_reflectance=0.0, absorption=False)
     at = int(np.argmax((found.back == 1) & (found.forward == 0)))
     air, glass, *_ = lens.indices(550.0)
@@ -114,7 +101,7 @@ def test_the_ghost_of_a_plane_plate(tilt_deg: float) -> None:
 
 def test_cover_glass_and_detector() -> None:
     """Detector and a face of its window: Rd R and Rd R T^2 of the image; diameter 2 g / N and 2 (g + t / n) / N."""
-    lens = with_cover_glass(plate(), "N-BK7", 1.0, 2.0)
+    lens = with_cover_glass(plate_lens(), "N-BK7", 1.0, 2.0)
     found = find_ghosts(lens, [0.0, 0.0, 1.0], detector_reflectance=0.3, absorption=False)
     air, glass = lens.indices(550.0)[:2]
     reflectance, ratio = ((glass - air) / (glass + air)) ** 2, air / glass

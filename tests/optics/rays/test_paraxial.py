@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from made_lens import made_lens
 
-from optics import VACUUM, Plane, Rays, Sphere, load_lens, trace
-from optics.rays.chief_ray import chief_ray_points
-from optics.rays.distortion import plate_scale_mm
+from optics import VACUUM, Plane, Rays, Sphere, chief_ray_points, load_lens, plate_scale_mm, trace
 from optics.rays.paraxial import (
     axial_colour_mm,
     chief_ray,

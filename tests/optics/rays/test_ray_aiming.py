@@ -8,12 +8,10 @@ import pytest
 from made_lens import made_glass, made_lens
 from scipy.optimize import brentq
 
-from optics import Plane, Sphere, chief_ray_points, load_lens, spot_moments
+from optics import Plane, Sphere, chief_ray_points, decentre, load_lens, sobol_disk, spot_moments
 from optics.errors import ConvergenceError
 from optics.frames import field_direction, light_direction
-from optics.lens.perturb import decentre
 from optics.rays.entrance_pupil import launch_disks, star_rays
-from optics.rays.pupil_sampling import sobol_disk
 from optics.rays.ray_aiming import aim_at_stop
 from optics.rays.trace import Rays, trace, trace_path
 

@@ -4,15 +4,13 @@ import numpy as np
 import pytest
 from batoid_trace import batoid_trace
 
-from optics import EvenAsphere, Plane, field_direction, load_lens, paraxial, trace
+from optics import EvenAsphere, Plane, field_direction, load_lens, paraxial, plate_scale_mm, sobol_disk, trace
 from optics.glass.air import air_index
 from optics.lens.heated_lens import Housing, ThermalState, heated_lens
 from optics.lens.perturb import decentre, tilt, tilt_image
 from optics.lens.system import AMBIENT, LensSystem
 from optics.rays.chief_ray import chief_ray_points
-from optics.rays.distortion import plate_scale_mm
 from optics.rays.entrance_pupil import entrance_pupil, star_rays
-from optics.rays.pupil_sampling import sobol_disk
 
 pytestmark = pytest.mark.reference
 

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from optics import chief_ray_points, decentre, distortion_map, gauss_disk, load_lens, refocus, sobol_disk
+from optics import chief_ray_points, decentre, distortion_map, gauss_disk, load_lens, refocus, sobol_disk, vignetting
 from optics.rays.lateral_colour import lateral_colour
 from optics.rays.spots import spot_moments
-from optics.rays.vignetting import vignetting
 
 CAMERA, TRACKER = load_lens("star_camera_206mm"), load_lens("star_tracker_26mm")
 

@@ -98,8 +98,7 @@ def test_a_monte_carlo_that_goes_forward_finds_the_same() -> None:
     share = law.bsdf(np.linalg.norm(apart, axis=1)) * (away * normal).sum(axis=1) * solid
     z = lens.surfaces[number].position_mm[2]
     rest = replace(
-        lens,
-        surfaces=tuple(replace(s, is_stop=at == 0) for at, s in enumerate(lens.surfaces[number + 1 :])),
+        lens, surfaces=tuple(replace(s, is_stop=at == 0) for at, s in enumerate(lens.surfaces[number + 1 :]))
     )
     on = trace(
         rest,

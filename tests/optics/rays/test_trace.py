@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from made_lens import made_lens
 
-from optics import Conic, LensSystem, Plane, Sphere, compile_lens, field_direction, load_lens
+from optics import Conic, LensSystem, Plane, Sphere, compile_lens, field_direction, load_lens, sobol_disk
 from optics.arrays import NUMPY
 from optics.lens.perturb import change_shape, decentre, tilt
 from optics.rays.entrance_pupil import entrance_pupil, star_rays
-from optics.rays.pupil_sampling import sobol_disk
 from optics.rays.trace import MISSED, OK, TOTAL_REFLECTION, VIGNETTED, Rays, trace, trace_program
 
 

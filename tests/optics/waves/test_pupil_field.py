@@ -9,9 +9,8 @@ from ideal_pupil import INDEX, WAVE_NM, ideal_pupil
 from scipy.integrate import quad
 from scipy.special import j0, j1
 
-from optics import load_lens, wavefront, zernike_map, zernikes
+from optics import Rays, load_lens, wavefront, zernike_map, zernikes
 from optics.frames import field_direction, light_direction
-from optics.rays.trace import Rays
 from optics.waves.image_quality import encircled_energy, peak, strehl, strehl_through_focus, transfer_function
 from optics.waves.pupil_field import needed_order, trace_pupil
 

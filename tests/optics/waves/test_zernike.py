@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from optics import gauss_disk, load_lens, trace_pupil
-from optics.waves.wavefront import wavefront, zernike_map
+from optics import gauss_disk, load_lens, trace_pupil, wavefront, zernike_map
 from optics.waves.zernike import fit_zernikes, zernike_numbers, zernikes
 
 

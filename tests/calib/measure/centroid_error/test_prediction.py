@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 from star_images import gaussian_epsf, noisy
 
-from calib.measure.centroid_error.prediction import (
-    centroid_bound,
-    fit_bias,
-    phase_windows,
-    predict_centroids,
-    psf_mismatch,
-)
+from calib.measure.centroid_error import prediction
 from calib.measure.centroiding.registry import get_centroider
 from calib.measure.stamps import noiseless_stamps
 from calib.records import NoiseModel
@@ -31,8 +25,8 @@ def test_noise_and_patterns_of_drawn_windows(name):
     what is not linear at a signal-to-noise ratio of 30."""
     psf, rng, draws, window = gaussian_psf(0.7), np.random.default_rng(8), 600, 9
     flux = np.array([3000.0, 30000.0])
-    predicted = predict_centroids(name, (psf,), flux, noise=NOISE, prnu=0.02, offset_e=8.0, window_px=window)
-    unit = phase_windows((psf,), window)
+    predicted = prediction.predict_centroids(name, (psf,), flux, noise=NOISE, prnu=0.02, offset_e=8.0, window_px=window)
+    unit = prediction.phase_windows((psf,), window)
     options = {"epsf": (psf,)} if name == "epsf" else {}
     centroider = get_centroider(name, **options)
     for k, value in enumerate(flux):
@@ -69,7 +63,7 @@ def test_noise_limits(limit, sigma, flux, read, window):
     Read noise alone: Fisher information F^2 / r^2 sum (dP/dx)^2 of a Gaussian, sigma_x = sqrt(8 pi) s^2 r / F.
     """
     noise = NoiseModel(read_noise_e=read)
-    errors = predict_centroids("epsf", (gaussian_psf(sigma),), [flux], noise=noise, window_px=window)
+    errors = prediction.predict_centroids("epsf", (gaussian_psf(sigma),), [flux], noise=noise, window_px=window)
     assert errors.noise_px[0, 0] == pytest.approx(limit(sigma**2 + 1.0 / 12.0), rel=0.02)
     assert errors.bound_px[0, 0] == pytest.approx(errors.noise_px[0, 0], rel=1e-6)
 
@@ -78,7 +72,9 @@ def test_bound_between_its_knots_is_that_of_the_star():
     """Photons alone, sigma 1.5 px: the same at every phase; nearest PSF by the distance from the middle."""
     noise, electrons = NoiseModel(read_noise_e=1e-3), (1e3, 1e5)
     psfs = [gaussian_psf(1.5), gaussian_psf(1.0)]
-    bound = centroid_bound(psfs, [0.0, 500.0], noise=noise, background_e=0.0, window_px=15, electrons=electrons)
+    bound = prediction.centroid_bound(
+        psfs, [0.0, 500.0], noise=noise, background_e=0.0, window_px=15, electrons=electrons
+    )
     place = np.random.default_rng(3).uniform(0, 100, (50, 2))
     for radius_px, sigma in ((7.0, 1.5), (400.0, 1.0)):
         found = bound.at(np.full(50, 4e4), place, np.full(50, radius_px))
@@ -88,7 +84,7 @@ def test_bound_between_its_knots_is_that_of_the_star():
 def test_no_method_beats_the_bound():
     psf = gaussian_psf(0.8)
     for name in ("windowed", "cog"):
-        found = predict_centroids(name, (psf,), [300.0, 3e4], noise=NOISE, window_px=11)
+        found = prediction.predict_centroids(name, (psf,), [300.0, 3e4], noise=NOISE, window_px=11)
         assert (found.noise_px > found.bound_px).all()
         assert (found.phase_px > 0.0).all()
 
@@ -102,11 +98,11 @@ def test_wrong_psf_is_what_the_fit_makes_of_it():
     shifted = np.stack([np.interp(offset + centre, offset, row) for row in tail])  # about its own mean again
     true = EffectivePsf(values=shifted, oversampling=8)
     window, flux = 11, 20000.0
-    bias = fit_bias("epsf", (psf,), (true,), flux, noise=NOISE, window_px=window)
+    bias = prediction.fit_bias("epsf", (psf,), (true,), flux, noise=NOISE, window_px=window)
     assert bias.shape == (1, 16, 2)
-    predicted = psf_mismatch((psf,), (true,), [flux], noise=NOISE, window_px=window)[0, 0]
+    predicted = prediction.psf_mismatch((psf,), (true,), [flux], noise=NOISE, window_px=window)[0, 0]
     assert predicted == pytest.approx(np.sqrt((bias**2).mean()), rel=0.25)  # first order
-    assert psf_mismatch((psf,), (psf,), [flux], noise=NOISE, window_px=window)[0, 0] == 0.0
+    assert prediction.psf_mismatch((psf,), (psf,), [flux], noise=NOISE, window_px=window)[0, 0] == 0.0
 
 
 def test_a_fit_is_off_by_as_much_as_its_psf():
@@ -114,6 +110,6 @@ def test_a_fit_is_off_by_as_much_as_its_psf():
     psf = gaussian_psf(0.8)
     offset = (np.arange(len(psf.values)) - len(psf.values) // 2) / 8.0
     moved = np.stack([np.interp(offset - 0.03, offset, row) for row in psf.values])
-    bias = fit_bias("epsf", (psf, psf), (EffectivePsf(values=moved, oversampling=8), psf), 2e4, noise=NOISE)
+    bias = prediction.fit_bias("epsf", (psf, psf), (EffectivePsf(values=moved, oversampling=8), psf), 2e4, noise=NOISE)
     np.testing.assert_allclose(bias[0].mean(0), [0.03, 0.0], atol=1e-3)
     np.testing.assert_allclose(bias[1], 0.0, atol=1e-5)

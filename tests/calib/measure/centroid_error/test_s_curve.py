@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from star_images import gaussian_stars, noisy, sampled_stars, star_field
 
+from calib import find_stars, get_centroider
 from calib.flags import UNFIT, StarFlag, has_flag
-from calib.measure.centroiding.registry import get_centroider
-from calib.measure.find import find_stars
 
 MOMENTS = ("cog", "tcog", "windowed")
 STARS = 300

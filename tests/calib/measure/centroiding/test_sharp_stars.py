@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 from star_images import NOISE, gaussian_stars, sampled_stars, stamps_of
 
+from calib import find_stars, get_centroider, sensor_image
 from calib.flags import StarFlag, has_flag
-from calib.measure.centroiding.registry import get_centroider
 from calib.measure.epsf.build import build_epsf
-from calib.measure.find import find_stars
-from calib.measure.images.sensor_image import sensor_image
 
 SHARP = [(0.12, 0.25), (0.74, 0.68), (0.14, 2.2)]
 """The PSF of eight real frames."""

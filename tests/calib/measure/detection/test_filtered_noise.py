@@ -8,9 +8,7 @@ from PIL import Image
 from scipy.ndimage import convolve
 from star_images import star_field
 
-from calib.detector.hot_pixels import find_hot_pixels, without_pixels
-from calib.measure.detection.matched_filter import detect, detection_noise
-from calib.measure.images.sensor_image import sensor_image
+from calib import detect, detection_noise, find_hot_pixels, sensor_image, without_pixels
 
 COLOUR = np.array([[1.0, 2.0, 1.0], [2.0, 4.0, 2.0], [1.0, 2.0, 1.0]]) / 4.0
 GREEN = np.array([[0.0, 1.0, 0.0], [1.0, 4.0, 1.0], [0.0, 1.0, 0.0]]) / 4.0

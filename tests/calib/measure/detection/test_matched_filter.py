@@ -2,9 +2,8 @@ import numpy as np
 import pytest
 from star_images import image_of, noisy, star_field
 
+from calib import StarTable, detect
 from calib.flags import StarFlag, has_flag
-from calib.measure.detection.matched_filter import detect
-from calib.records import StarTable
 
 
 def field(x, y, flux, sigma=0.7):

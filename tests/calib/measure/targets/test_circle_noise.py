@@ -5,17 +5,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from calib.measure.targets.circle_noise import (
-    ACROSS,
-    Contour,
-    blurred_step_slope,
-    centre_variance_px2,
-    hole_response,
-    light_offsets_px,
-    line_slope,
-    line_weight,
-    rim_contour,
-)
+from calib.measure.targets import circle_noise
 from calib.measure.targets.screen_circles import (
     EDGE_HALF_WIDTH_PX,
     RAYS,
@@ -51,20 +41,22 @@ def disk(centre_px, radius_px, soft_px):
 def test_variance_of_a_centre_by_pixels():
     """Falls with the square of the slope; interpolation between two pixels leaves the mean of t^2 + (1 - t)^2."""
     flat, steep = (
-        centre_variance_px2(Contour(radius=200.0, slope=slope, brightness=0.5, half=4.0), 1e4, 270, 25.0, 0.0, RIM_PX)
+        circle_noise.centre_variance_px2(
+            circle_noise.Contour(radius=200.0, slope=slope, brightness=0.5, half=4.0), 1e4, 270, 25.0, 0.0, RIM_PX
+        )
         for slope in (0.1, 0.2)
     )
     assert steep == pytest.approx(flat / 4.0)
     part = np.linspace(0.0, 1.0, 10_001)
-    assert pytest.approx(np.mean(part**2 + (1.0 - part) ** 2), rel=1e-3) == ACROSS
+    assert pytest.approx(np.mean(part**2 + (1.0 - part) ** 2), rel=1e-3) == circle_noise.ACROSS
 
 
 def test_lines_through_profiles():
     offset = np.linspace(-5.0, 5.0, 2001)
-    assert np.trapezoid(line_weight(offset, 2.0), offset) == pytest.approx(1.0, rel=1e-4)
-    assert line_slope(3.0 - 0.7 * offset, offset, 2.0) == pytest.approx(-0.7)
+    assert np.trapezoid(circle_noise.line_weight(offset, 2.0), offset) == pytest.approx(1.0, rel=1e-4)
+    assert circle_noise.line_slope(3.0 - 0.7 * offset, offset, 2.0) == pytest.approx(-0.7)
     # a step blurred by much less than the window: 15 / (16 h)
-    assert blurred_step_slope(0.01, 2.0) == pytest.approx(15.0 / 32.0, rel=0.01)
+    assert circle_noise.blurred_step_slope(0.01, 2.0) == pytest.approx(15.0 / 32.0, rel=0.01)
 
 
 @pytest.mark.parametrize("offset", [-1.0, 0.4, 3.0, 6.5])
@@ -76,7 +68,7 @@ def test_response_of_the_hole_s_edge_is_the_blurred_window_less_half_the_line(of
     )
     window = quad(lambda u: 0.375 * (1.0 - (u / 2.0) ** 2) * norm.pdf(offset, u, blur), -2.0, 2.0)[0]
     rim = quad(lambda u: (line[0] + line[1] * u) * norm.pdf(offset, u, blur), near, far)[0]
-    found = hole_response(np.array([offset]), 2.0, blur, RIM_PX)[0]
+    found = circle_noise.hole_response(np.array([offset]), 2.0, blur, RIM_PX)[0]
     assert found == pytest.approx(window - 0.5 * rim, abs=2e-3)
 
 
@@ -97,11 +89,13 @@ def test_circles_of_a_screen_and_their_noise():
     assert np.mean(offsets, axis=0) == pytest.approx(np.array([[1.8, 1.6]] * 2), abs=0.1)
     radius = np.arange(20.0, 100.0, 0.25)
     profile = norm.cdf(62.0 - radius, scale=5.0)
-    contour = rim_contour(profile, radius, 40.0, EDGE_HALF_WIDTH_PX["spot"], RIM_LEVEL)
+    contour = circle_noise.rim_contour(profile, radius, 40.0, EDGE_HALF_WIDTH_PX["spot"], RIM_LEVEL)
     assert contour.brightness == pytest.approx(norm.cdf(62.0 - contour.radius, scale=5.0), rel=0.02)
-    edge = Contour(radius=40.0, slope=blurred_step_slope(0.7, 1.5), brightness=0.5, half=1.5)
+    edge = circle_noise.Contour(radius=40.0, slope=circle_noise.blurred_step_slope(0.7, 1.5), brightness=0.5, half=1.5)
     expected = np.sqrt(
-        sum(centre_variance_px2(one, full, SPOKES * RAYS, noise**2, 0.0, RIM_PX) for one in (edge, contour))
+        sum(
+            circle_noise.centre_variance_px2(one, full, SPOKES * RAYS, noise**2, 0.0, RIM_PX) for one in (edge, contour)
+        )
     )
     scatter = np.sqrt(np.var(offsets, axis=0, ddof=1)[0].mean())
     assert scatter == pytest.approx(expected, rel=4.0 / np.sqrt(2 * 30) + 0.15)
@@ -110,11 +104,11 @@ def test_circles_of_a_screen_and_their_noise():
 def test_even_light_moves_no_centre():
     """Particles at every angle alike, on the rim; one more on one side moves the spot to that side."""
     angle = (np.arange(720) + 0.5) * np.pi / 360
-    spot = Contour(radius=60.0, slope=-0.05, brightness=0.3, half=14.0)
-    hole = Contour(radius=40.0, slope=0.3, brightness=0.5, half=1.5, rim=1.0)
+    spot = circle_noise.Contour(radius=60.0, slope=-0.05, brightness=0.3, half=14.0)
+    hole = circle_noise.Contour(radius=40.0, slope=0.3, brightness=0.5, half=1.5, rim=1.0)
     x, y = 60.0 * np.cos(angle), 60.0 * np.sin(angle)
-    even = light_offsets_px(x, y, 100.0, spot, hole, 0.6, 270, RIM_PX)
+    even = circle_noise.light_offsets_px(x, y, 100.0, spot, hole, 0.6, 270, RIM_PX)
     assert np.abs(even).max() < 1e-10
-    more = light_offsets_px(np.append(x, 60.0), np.append(y, 0.0), 100.0, spot, hole, 0.6, 270, RIM_PX)
+    more = circle_noise.light_offsets_px(np.append(x, 60.0), np.append(y, 0.0), 100.0, spot, hole, 0.6, 270, RIM_PX)
     assert more[0, 0] > 0.0
     assert abs(more[0, 1]) < 1e-3 * more[0, 0]
