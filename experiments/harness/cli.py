@@ -19,7 +19,7 @@ from experiments.harness.run import ExperimentRun, Options, configuration, perfo
 from optics.errors import ConfigError
 
 
-class Main(click.Group):
+class ExperimentCommand(click.Group):
     """An experiment as a command; a call runs it and gives the exit status. It may have subcommands."""
 
     def __init__(self, experiment: Experiment) -> None:
@@ -60,9 +60,7 @@ class Main(click.Group):
         return EXIT_FAILED if any(criterion.failed for criterion in run.criteria) else EXIT_GOOD
 
 
-def command(experiment: Experiment) -> Main:
-    """Turn an experiment into a command."""
-    return Main(experiment)
+command = ExperimentCommand
 
 
 def _options(experiment: Experiment) -> list[click.Parameter]:

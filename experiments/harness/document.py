@@ -208,7 +208,7 @@ def render_document(
         "provenance": provenance,
     }
     blocks = environment.get_template("blocks.html").make_module(vars={"provenance": provenance})
-    show = blocks.show  # type: ignore[attr-defined]  # a macro of the template
+    show = blocks.show  # a macro of the template
     filled = {
         name: Markup(_MARK.sub(lambda mark: str(show(context.blocks[int(mark[1])])).strip(), html))
         for name, html in page.items()

@@ -146,24 +146,3 @@ class Experiment:
             return drawing(replace(outcome, section=section), *arguments)
 
         return call
-
-    def page(
-        self,
-        outcome: Outcome,
-        *,
-        tables: Mapping[str, Table],
-        criteria: Sequence[Criterion],
-        provenance: Mapping[str, Any],
-    ) -> str:
-        """The HTML of the report; call inside `experiments.harness.plotting.house_style`."""
-        from experiments.harness.document import render_document
-
-        return render_document(
-            self.template,
-            outcome,
-            tables=tables,
-            draw=self.draw(outcome),
-            criteria=criteria,
-            provenance=provenance,
-            judged=self.judged,
-        )

@@ -12,13 +12,14 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it warns of a home folder that cannot hold its cache
 
-from matplotlib import rc_context  # noqa: E402
+from matplotlib import rc_context, style  # noqa: E402
 from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
 from matplotlib.backends.backend_svg import FigureCanvasSVG  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
@@ -31,70 +32,15 @@ from optics.errors import DomainError  # noqa: E402
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 INK = "#22262b"
-_FAINT = "#8a9099"
-_GRID = "#e3e5e8"
 
 WIDTH_IN = {"full": 7.6, "half": 3.7}
 _NARROW_IN = 4.4
-
-_RC = {
-    "figure.dpi": 100,
-    "figure.facecolor": "none",
-    "figure.constrained_layout.use": True,
-    "savefig.facecolor": "none",
-    "axes.facecolor": "none",
-    "axes.edgecolor": _FAINT,
-    "axes.labelcolor": INK,
-    "axes.linewidth": 0.7,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.titlesize": 9,
-    "axes.titlelocation": "left",
-    "axes.titleweight": "normal",
-    "axes.titlepad": 7,
-    "axes.labelsize": 8.5,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.formatter.use_mathtext": True,
-    "axes.formatter.limits": (-3, 5),
-    "grid.color": _GRID,
-    "grid.linewidth": 0.6,
-    "xtick.color": _FAINT,
-    "ytick.color": _FAINT,
-    "xtick.labelcolor": INK,
-    "ytick.labelcolor": INK,
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
-    "xtick.major.size": 3,
-    "ytick.major.size": 3,
-    "xtick.major.width": 0.7,
-    "ytick.major.width": 0.7,
-    "xtick.minor.size": 0,
-    "ytick.minor.size": 0,
-    "legend.fontsize": 8,
-    "legend.frameon": False,
-    "legend.handlelength": 1.6,
-    "lines.linewidth": 1.4,
-    "lines.markersize": 4,
-    "lines.markeredgewidth": 0.8,
-    "errorbar.capsize": 0,
-    "patch.linewidth": 0.7,
-    "text.color": INK,
-    "font.family": "DejaVu Sans",
-    "font.size": 8.5,
-    "mathtext.fontset": "stixsans",
-    "image.cmap": "cividis",
-    "image.origin": "upper",  # image[row, column], row downwards
-    "svg.fonttype": "path",
-}
 
 
 @contextmanager
 def house_style() -> Iterator[None]:
     """The house style; matplotlib's settings are restored afterwards."""
-    from cycler import cycler
-
-    with rc_context({**_RC, "axes.prop_cycle": cycler(color=PALETTE)}):
+    with style.context(Path(__file__).with_name("house.mplstyle")):
         yield
 
 

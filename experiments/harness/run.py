@@ -118,6 +118,7 @@ class ExperimentRun:
 
     def write(self, folder: Path) -> None:
         """Write summary, tables, dataset, report and provenance."""
+        from experiments.harness.document import render_document
         from experiments.harness.plotting import house_style
         from experiments.harness.provenance import collect, file_digests, without_paths
         from experiments.harness.quantities import to_coordinates, to_results, write_netcdf
@@ -137,7 +138,15 @@ class ExperimentRun:
         name, config = experiment.name, content["config"]
         with house_style():
             origin = collect(name, config, variant=self.variant, quick=self.quick, times_s=self.times_s)
-            page = experiment.page(outcome, tables=self.tables, criteria=self.criteria, provenance=origin)
+            page = render_document(
+                experiment.template,
+                outcome,
+                tables=self.tables,
+                draw=experiment.draw(outcome),
+                criteria=self.criteria,
+                provenance=origin,
+                judged=experiment.judged,
+            )
         (folder / "report.html").write_text(page, encoding="utf-8")
         origin["files"] = file_digests(folder)
         (folder / RECORD).write_text(dumps(origin), encoding="utf-8")

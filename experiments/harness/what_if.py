@@ -293,9 +293,7 @@ def _rows(declared: Experiment, swept: Swept, numbers: Mapping[str, Quantity]) -
     fields: list[Any] = [
         (key.field, float, col(f"{key.label[0].upper()}{key.label[1:]}", key.unit, ".5g")) for key in swept.keys
     ]
-    for name in dict.fromkeys((*in_table, *numbers)):
-        number = numbers[name]
-        fields.append((name, float, col(number.label, number.unit, number.format, shown=name in in_table)))
+    fields += _columns(numbers, in_table)
     fields.append(("meets", bool, col("Meets", shown=False)))
     fields.append(("misses", str, col("Misses", shown=bool(swept.required))))
     fields.append(("refusal", str, col("Refused", shown=False)))
@@ -307,6 +305,12 @@ def _rows(declared: Experiment, swept: Swept, numbers: Mapping[str, Quantity]) -
         at = dict(zip(swept_fields, point.at, strict=True))
         rows.append(record(**at, **values, meets=point.met, misses=missed, refusal=point.refusal))
     return rows
+
+
+def _columns(numbers: Mapping[str, Quantity], shown: Sequence[str]) -> list[Any]:
+    """Fields of a record that holds predicted numbers; the shown ones come first."""
+    ordered = {name: numbers[name] for name in dict.fromkeys((*shown, *numbers))}
+    return [(name, float, col(n.label, n.unit, n.format, shown=name in shown)) for name, n in ordered.items()]
 
 
 def _crossings(swept: Swept, predict: Callable[[tuple[float]], SweptPoint]) -> list[Crossing]:
@@ -472,13 +476,12 @@ def run_comparison(declared: Experiment, configs: Sequence[Any], *, progress: Pr
     requirements = [judge(_limits(declared, c), n) for c, n in zip(configs, numbers, strict=True)]
     common = {name: number for name, number in numbers[0].items() if all(name in other for other in numbers)}
     common.pop("requirements_missed", None)
-    columns = [name for name in declared.swept if name in common]
-    fields: list[Any] = [("sensor", str, col("Sensor"))]
-    for name in dict.fromkeys((*columns, *common)):
-        number = common[name]
-        fields.append((name, float, col(number.label, number.unit, number.format, shown=name in columns)))
-    fields.append(("requirements", int, col("Requirements", shown=False)))
-    fields.append(("requirements_missed", int, col("Requirements missed", shown=False)))
+    fields = [
+        ("sensor", str, col("Sensor")),
+        *_columns(common, [name for name in declared.swept if name in common]),
+        ("requirements", int, col("Requirements", shown=False)),
+        ("requirements_missed", int, col("Requirements missed", shown=False)),
+    ]
     record = make_dataclass("Sensor", fields, frozen=True, kw_only=True)
     rows = [
         record(
