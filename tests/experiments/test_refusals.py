@@ -17,6 +17,7 @@ from astropy.table import Table
 from PIL import Image
 from target_frames import HEAD, readout, spots, write
 
+from experiments.budget.settings import BudgetConfig
 from experiments.chromatic.own_frames import filter_frames
 from experiments.chromatic.settings import ChromaticConfig
 from experiments.dataset import workers
@@ -30,7 +31,11 @@ from experiments.dataset.truth_files import read_origin, read_record
 from experiments.distortion.own_frames import reduce as distortion
 from experiments.distortion.settings import DistortionConfig
 from experiments.harness.config import load_config
+from experiments.harness.outputs import OutputFolder
+from experiments.harness.plotting import equation_svg, wavelength_colour
 from experiments.harness.progress import Progress
+from experiments.harness.range import parse_sweep
+from experiments.harness.tables import Table as OutputTable
 from experiments.hsfe.own_frames import reduce as hsfe
 from experiments.lens.command import lens
 from experiments.reduce.command import reduce as reduce_command
@@ -380,6 +385,46 @@ LENSES = [
     ("second", lens_command("thermal", TRACKER, "--second", "unobtainium"), ConfigError, "--second unobtainium"),
 ]  # fmt: skip
 
+# --- The harness: sweeps, output folders, tables, equations
+
+SWEEPS = [
+    ("defocs_mm=-0.2:0.2:9", "did you mean defocus_mm"),
+    ("defocus_mm=-0.1:0.1:9:log", "a logarithmic"),
+    ("defocus_mm=0.1,0.1", "1 different values"),
+    ("edge_nm=10:20:3", "passband.edge_nm or filters.edge_nm"),
+    ("defocus_mm=0.1:0.1:3", "empty"),
+    ("defocus_mm=0:inf:3", "finite"),
+    ("defocus_mm=a:0.1:3", "numbers"),
+    ("defocus_mm=0:0.1:1", "2 to 200"),
+    ("defocus_mm=0:0.1", "KEY=LOW:HIGH:POINTS"),
+    ("defocus_mm=-30:30:3", "at least -10"),
+    ("frames=10.1:10.3:5", "whole numbers"),
+    ("lens=1:2:3", "instrument.lens cannot be swept"),
+    ("attitude.stars=2:4:3", "does not depend on attitude.stars"),
+    (f"frames={','.join(map(str, range(201)))}", "201 different values; 2 to 200"),
+]
+
+
+def in_current_folder(folder: Path) -> Any:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        return OutputFolder(".")
+
+
+HARNESS = [
+    *((f"sweep {text:.30}", lambda _, text=text: parse_sweep(text, BudgetConfig, ["attitude"]), ConfigError,
+       f"--sweep {text}: ", words) for text, words in SWEEPS),
+    ("output is a file", lambda folder: OutputFolder(folder / "chip.toml"), ConfigError, "chip.toml: is a file"),
+    ("output below a file", lambda folder: OutputFolder(folder / "chip.toml" / "below"), ConfigError,
+     "below: cannot be written"),
+    ("output on a mount point", lambda _: OutputFolder("/"), ConfigError, "/: is a mount point"),
+    ("output in the current folder", in_current_folder, ConfigError, ".: is the current folder"),
+    ("cells of a row", lambda _: OutputTable(columns=["a", "b"], rows=[(1, 2), (3,)]), DomainError,
+     "row 1 has 1 cells where 2 are needed"),
+    ("equation", lambda _: equation_svg(r"\nosuchcommand{"), DomainError, "nosuchcommand", "cannot be set"),
+    ("wavelength", lambda _: wavelength_colour(-1.0), DomainError, "-1.0 nm", "positive"),
+]  # fmt: skip
+
 DOUBLET = """MODE SEQ
 UNIT MM X W X CM MR CPMM
 FNUM 5 0
@@ -433,7 +478,7 @@ FILES = {
     "chip.toml": "",
     "doublet.zmx": DOUBLET,
 }
-SECTIONS = {"dataset": DATASETS, "own frames": FRAMES, "lens": LENSES, "twin": TWIN}
+SECTIONS = {"dataset": DATASETS, "own frames": FRAMES, "lens": LENSES, "twin": TWIN, "harness": HARNESS}
 
 
 @pytest.fixture

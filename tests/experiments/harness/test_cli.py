@@ -25,6 +25,9 @@ ROOT = Path(__file__).parents[3]
 SCRIPT = Path(__file__).parents[1] / "shot_noise.py"
 
 
+FILES = ["levels.ecsv", "report.html", "results.nc", "summary.json"]
+
+
 def names(folder):
     return sorted(path.name for path in folder.iterdir())
 
@@ -40,7 +43,7 @@ def output(shot_noise, tmp_path_factory):
 def test_run_writes_everything(output):
     status, folder = output
     assert status == 0
-    assert names(folder) == ["frames", "levels.ecsv", "provenance.json", "report.html", "results.nc", "summary.json"]
+    assert names(folder) == sorted(["frames", "provenance.json", *FILES])
     assert names(folder.parent) == ["shot_noise"]
 
 
@@ -69,13 +72,7 @@ def test_provenance_file(output):
     assert record["packages"]["numpy"] == np.__version__
     assert 0 < record["stages_s"]["draw"] < record["runtime_s"]
     assert 10 < record["peak_memory_mb"] < 1e5
-    assert sorted(record["files"]) == [
-        "frames/variance.npy",
-        "levels.ecsv",
-        "report.html",
-        "results.nc",
-        "summary.json",
-    ]
+    assert sorted(record["files"]) == ["frames/variance.npy", *FILES]
     assert str(folder) not in text
     assert str(ROOT) not in text
 
@@ -151,11 +148,11 @@ def test_quick_yields_to_the_user(in_words, tmp_path, monkeypatch):
 def test_bad_input_is_one_line_and_exit_2(shot_noise, tmp_path, capsys, monkeypatch, arguments, expected):
     monkeypatch.chdir(tmp_path)
     assert shot_noise.main(arguments) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.startswith("error: ")
-    assert said.err.count("\n") == 1
-    assert expected in said.err
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith("error: ")
+    assert printed.err.count("\n") == 1
+    assert expected in printed.err
     assert names(tmp_path) == []
 
 

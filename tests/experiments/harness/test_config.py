@@ -102,10 +102,9 @@ def test_plain_choice_called_kind_keeps_its_neighbours(tmp_path):
     ],
 )
 def test_bad_setting_is_one_line(setting, expected):
-    with pytest.raises(ConfigError, match="--set") as caught:
-        load_config(Config, settings=[setting])
-    assert expected in str(caught.value)
-    assert "\n" not in str(caught.value)
+    message = refuses(ConfigError, "--set", load_config, Config, settings=[setting])
+    assert expected in message
+    assert "\n" not in message
 
 
 @pytest.mark.parametrize(
@@ -157,9 +156,7 @@ def test_a_key_has_one_spelling_and_one_short_form_in_all_layers(tmp_path):
     ]  # fmt: skip
     (tmp_path / "run.toml").write_text("kind = 'disc'")
     for layer in ({"settings": ["kind=disc"]}, {"file": tmp_path / "run.toml"}):
-        assert "key 'kind' is ambiguous: mask.kind or move.kind" in refuses(
-            ConfigError, ".", load_config, Config, **layer
-        )
+        refuses(ConfigError, "key 'kind' is ambiguous: mask.kind or move.kind", load_config, Config, **layer)
     (tmp_path / "run.toml").write_text("defocus_um = 1\nlens.defocus_um = 2")
     refuses(ConfigError, "lens.defocus_um is stated twice", load_config, Config, file=tmp_path / "run.toml")
 
@@ -178,10 +175,11 @@ def test_bad_file_is_one_line(tmp_path, content, expected):
     """Expected behaviour: one line that names the file; nothing of it passes because ``--set`` comes later."""
     file = tmp_path / "wrong.toml"
     file.write_text(content, encoding="latin-1")
-    with pytest.raises(ConfigError, match=r"wrong\.toml") as caught:
-        load_config(Config, file=file, settings=["lens.defocus_um=1", "frames=4"])
-    assert expected in str(caught.value)
-    assert "\n" not in str(caught.value)
+    message = refuses(
+        ConfigError, r"wrong\.toml", load_config, Config, file=file, settings=["lens.defocus_um=1", "frames=4"]
+    )
+    assert expected in message
+    assert "\n" not in message
 
 
 def test_real_number_without_a_unit_in_its_name_is_refused():
@@ -195,8 +193,6 @@ def test_real_number_without_a_unit_in_its_name_is_refused():
         class Worse(StrictModel):
             pair: tuple[float, float] | None = None
 
-
-def test_names_of_pure_numbers_and_rates_are_taken():
     class Good(StrictModel):
         dimensionless = frozenset({"conic"})
         conic: float = -1.0

@@ -59,14 +59,14 @@ def test_failed_second_rename_puts_the_earlier_output_back(tmp_path, monkeypatch
         rename(source, target)
 
     monkeypatch.setattr(os, "rename", failing)
-    refuses(ConfigError, "Input/output error", lambda: write(OutputFolder(out), "new"))
+    refuses(ConfigError, "Input/output error", write, OutputFolder(out), "new")
     monkeypatch.undo()
     assert names(out) == ["old", RECORD]
     assert names(tmp_path) == ["out"]
 
 
 @pytest.mark.parametrize("earlier", [True, False])
-@pytest.mark.parametrize("fault", [KeyboardInterrupt, RuntimeError])
+@pytest.mark.parametrize("fault", [KeyboardInterrupt, OSError(28, "No space left on device")])
 def test_interrupted_writing_leaves_everything_as_it_was(tmp_path, earlier, fault):
     out = tmp_path / "deep" / "out"
     if earlier:
@@ -77,20 +77,9 @@ def test_interrupted_writing_leaves_everything_as_it_was(tmp_path, earlier, faul
             (staging / "half").write_text("x")
             raise fault
 
-    with pytest.raises(fault):
-        half_way()
-    if earlier:
-        assert names(out) == ["old", RECORD]
-        assert names(out.parent) == ["out"]
-    else:
-        assert names(tmp_path) == []
-
-
-def test_full_disk_is_one_line(tmp_path):
-    with pytest.raises(ConfigError, match="No space left") as caught, OutputFolder(tmp_path / "out").writing():
-        raise OSError(28, "No space left on device")
-    assert "\n" not in str(caught.value)
-    assert names(tmp_path) == []
+    refuses((KeyboardInterrupt, ConfigError), "^$|No space left on device", half_way)
+    assert names(tmp_path) == (["deep"] if earlier else [])
+    assert not earlier or (names(out), names(out.parent)) == (["old", RECORD], ["out"])
 
 
 @pytest.mark.parametrize("name", ["notes.txt", RECORD])
@@ -117,15 +106,6 @@ def test_a_note_put_into_an_earlier_output_is_not_lost_before_or_during_the_run(
     refuses(ConfigError, r"my-notes\.txt", write, folder, "new")
     assert names(out) == ["my-notes.txt", "old", RECORD]
     assert names(tmp_path) == ["out"]
-
-
-def test_unsuitable_paths(tmp_path, monkeypatch):
-    (tmp_path / "file").write_text("x")
-    refuses(ConfigError, "is a file", OutputFolder, tmp_path / "file")
-    refuses(ConfigError, "cannot be written", OutputFolder, tmp_path / "file" / "below")
-    refuses(ConfigError, "mount point", OutputFolder, "/")
-    monkeypatch.chdir(tmp_path)
-    refuses(ConfigError, "current folder", OutputFolder, ".")
 
 
 def test_folder_without_write_permission(tmp_path):
