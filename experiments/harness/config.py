@@ -7,7 +7,7 @@ import tomllib
 import typing
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, TypeVar
+from typing import Annotated, Any, ClassVar, TypeVar, cast
 
 from pydantic import AfterValidator, BaseModel, Field, TypeAdapter, ValidationError
 
@@ -98,7 +98,7 @@ def load_config(
         base = _with_value(model_class, base, key, value, "--quick")
     tables: dict[str, Mapping[str, Any]] = {}
     if sensor is not None:
-        tables[str(sensor)] = _as_experiment(model_class).of_sensor(Path(sensor))
+        tables[str(sensor)] = cast(type[ExperimentConfig], model_class).of_sensor(Path(sensor))
     if file is not None:
         tables[str(file)] = read_settings(model_class, file, spellings)
     texts = [(f"--set {text}", text) for text in settings]
@@ -165,12 +165,6 @@ def _names(sentence: str, key: str) -> bool:
     """Whether a sentence names a key by its last word, which is no word of prose."""
     word = re.escape(key.rpartition(".")[2])
     return re.search(rf"\b{word}\b" if "_" in word else rf"--{word}\b|\b{word} = ", sentence) is not None
-
-
-def _as_experiment(model_class: type[BaseModel]) -> type[ExperimentConfig]:
-    if not issubclass(model_class, ExperimentConfig):
-        raise TypeError(f"{model_class.__name__} is no ExperimentConfig")
-    return model_class
 
 
 def _with_value(

@@ -131,18 +131,11 @@ class Experiment:
 
         return judged(self.parts(outcome.result), outcome)
 
-    def draw(self, outcome: Outcome) -> Callable[..., Any]:
-        """``draw(name)``: figure of the experiment by name."""
-        figures = {
-            name: (key, drawing)
-            for key, section in self.parts(outcome.result).items()
-            for name, drawing in section.figures.items()
-        }
-
-        def call(name: str, *arguments: Any) -> Any:
-            if name not in figures:
-                raise unknown_name("figure", name, figures)
-            section, drawing = figures[name]
-            return drawing(replace(outcome, section=section), *arguments)
-
-        return call
+    def draw(self, outcome: Outcome, name: str, *arguments: Any) -> Any:
+        """Figure of the experiment by name."""
+        sections = self.parts(outcome.result)
+        figures = {figure: key for key, section in sections.items() for figure in section.figures}
+        if name not in figures:
+            raise unknown_name("figure", name, figures)
+        key = figures[name]
+        return sections[key].figures[name](replace(outcome, section=key), *arguments)

@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any, Literal
@@ -47,33 +48,15 @@ class Options:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class ExperimentRun:
-    """A finished run of an experiment.
-
-    Attributes
-    ----------
-    experiment : Experiment
-        Declaration.
-    outcome : Outcome
-        Settings, result and quantities.
-    criteria : tuple of Criterion
-        Verdicts.
-    tables : mapping of str to Table
-        Tables of the report by name; `table` gives them to astropy.
-    variant : str or None
-        Mitsuba's variant, where something was rendered.
-    quick : bool
-        Whether it is the small run.
-    times_s : mapping of str to float
-        Seconds of each stage.
-    """
+    """A finished run of an experiment."""
 
     experiment: Experiment
-    outcome: Outcome
+    outcome: Outcome  # Settings, result and quantities
     criteria: tuple[Criterion, ...]
-    tables: Mapping[str, Table]
-    variant: str | None = None
+    tables: Mapping[str, Table]  # Tables of the report by name; `table` gives them to astropy
+    variant: str | None = None  # Mitsuba's variant of a run that rendered
     quick: bool = False
-    times_s: Mapping[str, float] = field(default_factory=dict)
+    times_s: Mapping[str, float] = field(default_factory=dict)  # By stage
 
     def __repr__(self) -> str:
         failed = [criterion.name for criterion in self.criteria if criterion.failed]
@@ -113,7 +96,7 @@ class ExperimentRun:
         from experiments.harness.plotting import house_style
 
         with house_style():
-            figure: Figure = self.experiment.draw(self.outcome)(name, *arguments)
+            figure: Figure = self.experiment.draw(self.outcome, name, *arguments)
         return figure
 
     def write(self, folder: Path) -> None:
@@ -142,7 +125,7 @@ class ExperimentRun:
                 experiment.template,
                 outcome,
                 tables=self.tables,
-                draw=experiment.draw(outcome),
+                draw=partial(experiment.draw, outcome),
                 criteria=self.criteria,
                 provenance=origin,
                 judged=experiment.judged,

@@ -178,11 +178,6 @@ class Swept:
         rows = next((point.requirements for point in self.points if point.numbers), ())
         return {row.key: (row.required, row.at_least) for row in rows}
 
-    @property
-    def met(self) -> Any:
-        """Whether all requirements are met, at all points."""
-        return np.array([point.met for point in self.points])
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Crossing:
@@ -382,7 +377,7 @@ def _map(figure: Figure, panel: Any, outcome: Outcome, swept: Swept, name: str) 
     required = swept.required.get(name, (math.nan, True))[0]
     if np.nanmin(values) < required < np.nanmax(values) and min(values.shape) > 1:
         panel.contour(*_finer(first, second, values), levels=[required], colors=MISSED, linewidths=1.4)
-    missed = np.array([point.at for point in swept.points])[~swept.met] if swept.required else np.empty((0, 2))
+    missed = np.array([point.at for point in swept.points if swept.required and not point.met]).reshape(-1, 2)
     for colour, thickness in ((INK, 2.2), ("white", 0.9)):  # visible on light and dark colours
         panel.plot(*missed.T, "x", color=colour, markersize=3.5, markeredgewidth=thickness)
     panel.grid(visible=False)
