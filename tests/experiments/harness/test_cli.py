@@ -45,6 +45,15 @@ def test_run_writes_everything(output):
     assert status == 0
     assert names(folder) == sorted(["frames", "provenance.json", *FILES])
     assert names(folder.parent) == ["shot_noise"]
+    text = (folder / "provenance.json").read_text()
+    record = json.loads(text)
+    assert [record[key] for key in ("program", "seed", "quick")] == ["starbench", 3, False]
+    assert record["packages"]["numpy"] == np.__version__
+    assert 0 < record["stages_s"]["draw"] < record["runtime_s"]
+    assert 10 < record["peak_memory_mb"] < 1e5
+    assert sorted(record["files"]) == ["frames/variance.npy", *FILES]
+    assert str(folder) not in text
+    assert str(ROOT) not in text
 
 
 def test_quantities_are_read_back_by_other_programs(output):
@@ -60,21 +69,6 @@ def test_quantities_are_read_back_by_other_programs(output):
         assert variable.long_name == b"Variance"
         assert variable.ancillary_variables == b"levels.variance_e2_error"
         assert variable.dimensions == ("level",)
-
-
-def test_provenance_file(output):
-    folder = output[1]
-    text = (folder / "provenance.json").read_text()
-    record = json.loads(text)
-    assert record["program"] == "starbench"
-    assert record["seed"] == 3
-    assert record["quick"] is False
-    assert record["packages"]["numpy"] == np.__version__
-    assert 0 < record["stages_s"]["draw"] < record["runtime_s"]
-    assert 10 < record["peak_memory_mb"] < 1e5
-    assert sorted(record["files"]) == ["frames/variance.npy", *FILES]
-    assert str(folder) not in text
-    assert str(ROOT) not in text
 
 
 def test_report_stands_alone_and_is_escaped(output):
@@ -93,8 +87,8 @@ def test_report_stands_alone_and_is_escaped(output):
     assert text.count("data:image/png;base64,") == 1
 
 
-def test_same_seed_same_bytes(shot_noise, tmp_path, output):
-    assert shot_noise.main(["--out", str(tmp_path / "again"), "--seed", "3", "--set", "label=<b>7 & 8</b>"]) == 0
+def test_same_seed_same_bytes_also_from_python(shot_noise, tmp_path, output):
+    run = run_experiment(shot_noise.experiment, {"label": "<b>7 & 8</b>"}, seed=3, out=tmp_path / "again")
     for name in ("summary.json", "results.nc", "levels.ecsv", "frames/variance.npy"):
         assert (tmp_path / "again" / name).read_bytes() == (output[1] / name).read_bytes()
 
@@ -102,19 +96,14 @@ def test_same_seed_same_bytes(shot_noise, tmp_path, output):
         return re.findall(r"<svg.*?</svg>", (folder / "report.html").read_text(encoding="utf-8"), flags=re.DOTALL)
 
     assert drawings(tmp_path / "again") == drawings(output[1])
-
-
-@pytest.mark.slow
-def test_from_python_the_same_numbers_as_by_command(shot_noise, tmp_path, output):
-    told = run_experiment(shot_noise.experiment, {"label": "<b>7 & 8</b>"}, seed=3, out=tmp_path / "again")
-    for name in ("levels.ecsv", "frames/variance.npy"):
-        assert (tmp_path / "again" / name).read_bytes() == (output[1] / name).read_bytes()
     written = AstropyTable.read(output[1] / "levels.ecsv")
-    assert (told.table("levels")["variance_e2"] == written["variance_e2"]).all()
-    assert told.draw("draw").axes
-    assert "1 criteria met" in repr(told)
+    assert (run.table("levels")["variance_e2"] == written["variance_e2"]).all()
+    assert run.draw("draw").axes
+    assert "1 criteria met" in repr(run)
     refuses(ConfigError, "chromatic", run_experiment, "chromatik")
     refuses(ConfigError, "name a folder", run_experiment, "dataset")
+    refuses(ConfigError, "known: levels", run.table, "stars")
+    refuses(ConfigError, "did you mean draw", run.draw, "drow")
 
 
 def test_failed_criterion_is_exit_1_and_still_written(in_words, tmp_path, capsys):
@@ -141,7 +130,7 @@ def test_quick_yields_to_the_user(in_words, tmp_path, monkeypatch):
         (["--seed", "-1"], "-1"),
         (["--backend", "gpu"], "'auto', 'llvm', 'cuda'"),
         (["--config", "absent.toml"], "absent.toml: no such file"),
-        (["--set", "mean_e=[1e13]"], "lower it"),  # found out while running
+        (["--set", "mean_e=[1e13]"], "lower it"),  # noticed by the run only
         (["--sensor", "a.toml", "--sensor", "b.toml"], "shot_noise takes one sensor"),
     ],
 )
@@ -187,10 +176,10 @@ def test_interruption_leaves_nothing_behind(tmp_path):
     )
     assert process.stderr.readline() == "drawing\n"
     process.send_signal(signal.SIGINT)
-    said = process.communicate(timeout=60)
+    printed = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert "interrupted; nothing was written" in said[1]
-    assert "Traceback" not in said[1]
+    assert "interrupted; nothing was written" in printed[1]
+    assert "Traceback" not in printed[1]
     assert names(tmp_path) == []
 
 
@@ -220,9 +209,11 @@ def test_listing_imports_nothing_heavy():
         assert name in done.stdout
 
 
-@pytest.mark.parametrize(("name", "said"), [("camra", "did you mean camera?"), ("lens", "python -m experiments lens")])
-def test_python_m_of_no_experiment_names_what_was_meant(name, said):
+@pytest.mark.parametrize(
+    ("name", "advice"), [("camra", "did you mean camera?"), ("lens", "python -m experiments lens")]
+)
+def test_python_m_of_no_experiment_names_what_was_meant(name, advice):
     done = subprocess.run([sys.executable, "-m", f"experiments.{name}"], capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert said in done.stderr
+    assert advice in done.stderr
     assert done.stderr.count("\n") == 1

@@ -28,15 +28,15 @@ def test_help_says_what_it_answers_how_long_it_takes_and_how_it_is_used(name, ca
     experiment = declared(name)
     assert experiment.name == name
     assert starbench([name, "--help"]) == 0
-    said = capsys.readouterr().out
-    assert experiment_names()[name] in " ".join(said.split())
-    assert re.search(rf"Takes {TIME} \(--quick: {TIME}\) on two cores", said)
-    examples = re.findall(rf"^ +python -m experiments\.{name} (.+)\n +(\S.*)$", said, re.M)
+    printed = capsys.readouterr().out
+    assert experiment_names()[name] in " ".join(printed.split())
+    assert re.search(rf"Takes {TIME} \(--quick: {TIME}\) on two cores", printed)
+    examples = re.findall(rf"^ +python -m experiments\.{name} (.+)\n +(\S.*)$", printed, re.M)
     assert len(examples) >= 2
     for line, does in examples:
         assert len(does) > len("--quick")
         words = shlex.split(line)
-        options = set(re.findall(r"^  (--[\w-]+)", said, re.M))
+        options = set(re.findall(r"^  (--[\w-]+)", printed, re.M))
         assert {word for word in words if word.startswith("--")} <= options
         settings = [value for option, value in pairwise(words) if option == "--set"]
         load_config(experiment.config, settings=settings)

@@ -20,8 +20,8 @@ def work(progress):
 
 def test_a_run_of_a_moment_says_nothing_in_a_pipe(capsys):
     assert work(terminal_progress()) == ["a", "b"]
-    said = capsys.readouterr()
-    assert said.out == said.err == ""
+    printed = capsys.readouterr()
+    assert printed.out == printed.err == ""
 
 
 def test_long_work_in_a_pipe_says_a_line_now_and_then():

@@ -45,10 +45,10 @@ def contents(folder):
 def test_a_run_with_other_settings_is_kept(main, folder, capsys):
     before = contents(folder)
     assert main(["--quick", "--seed", "4", "--set", "label=b", "--out", str(folder)]) == 2
-    said = capsys.readouterr().err
-    assert "holds a run with label = " in said or "holds a run with seed = 3, this one has 4" in said
-    assert "1 more difference" in said
-    assert "--force" in said
+    printed = capsys.readouterr().err
+    assert "holds a run with label = " in printed or "holds a run with seed = 3, this one has 4" in printed
+    assert "1 more difference" in printed
+    assert "--force" in printed
     assert contents(folder) == before
 
 

@@ -20,7 +20,7 @@ from experiments.laboratory.settings.sensor_file import SensorConfig
 from experiments.reduce.frames_toml import FolderSettings, read_settings
 from optics.errors import ConfigError
 from optics.lens_file import load_lens
-from optics.settings import alternatives
+from optics.settings import alternatives, is_model
 from optics.validate import parse_model
 from render.catalogue.presets import preset_names
 from render.catalogue.read import read_catalog
@@ -37,7 +37,7 @@ FOLDER = {
     "series": [{"files": ["a.fits"]}],
     "table": {"axes": "-ZY", "reading_noise_arcsec": [0.1]},
 }
-WHOLE: list[BaseModel] = [
+CONFIGS: list[BaseModel] = [
     SensorConfig(),
     FolderSettings.model_validate(FOLDER),
     *(
@@ -49,7 +49,7 @@ WHOLE: list[BaseModel] = [
 
 HUGE = 1e308
 NEVER = (math.nan, math.inf, -math.inf, [[["x"]]], {"no such key": 1}, object())
-"""What no setting takes."""
+"""Values that no setting accepts."""
 
 
 def tables(model: BaseModel) -> Iterator[BaseModel]:
@@ -59,10 +59,9 @@ def tables(model: BaseModel) -> Iterator[BaseModel]:
         value = getattr(model, name)
         if isinstance(value, BaseModel):
             yield from tables(value)
-            others = [one for one in alternatives(field.annotation) if one is not type(value)]
-            yield from (one() for one in others if isinstance(one, type) and issubclass(one, BaseModel))
-        for one in value if isinstance(value, tuple) else ():
-            yield from tables(one) if isinstance(one, BaseModel) else ()
+            yield from (kind() for kind in alternatives(field.annotation) if is_model(kind) and kind is not type(value))
+        for item in value if isinstance(value, tuple) else ():
+            yield from tables(item) if isinstance(item, BaseModel) else ()
 
 
 def kinds(annotation: Any) -> set[Any]:
@@ -88,30 +87,29 @@ def wrong(annotation: Any, value: Any) -> Iterator[Any]:
         bad += [1, 0, "true"]
     if str in types and not types & {int, float}:
         bad += [5, True]
-    for one in bad:
-        yield one
+    for wrong_value in bad:
+        yield wrong_value
         if listed:
-            yield [one]
+            yield [wrong_value]
             if value:
-                yield [*value[:-1], one]
+                yield [*value[:-1], wrong_value]
 
 
 @pytest.mark.slow
 def test_wrong_values_are_refused() -> None:
     """A truth value for a number, an exposure of 1e308 s, a list for a number: `ConfigError` that names the setting."""
     faults = []
-    for table in {type(table): table for one in WHOLE for table in tables(one)}.values():
-        whole = table.model_dump()
-        for name, field in type(table).model_fields.items():
-            value = whole[name]
-            for bad in wrong(field.annotation, value):
+    for model, table in {type(table): table for config in CONFIGS for table in tables(config)}.items():
+        values = table.model_dump()
+        for name, field in model.model_fields.items():
+            for bad in wrong(field.annotation, values[name]):
                 try:
-                    parse_model(type(table), whole | {name: bad}, "test")
+                    parse_model(model, values | {name: bad}, "test")
                 except ConfigError as error:
                     if name not in str(error):
-                        faults.append(f"{type(table).__name__}: {name} = {bad!r:.40} gives {error}")
+                        faults.append(f"{model.__name__}: {name} = {bad!r:.40} gives {error}")
                 else:
-                    faults.append(f"{type(table).__module__}.{type(table).__name__}: {name} = {bad!r:.40} is taken")
+                    faults.append(f"{model.__module__}.{model.__name__}: {name} = {bad!r:.40} is accepted")
     assert not faults, "\n".join(faults)
 
 

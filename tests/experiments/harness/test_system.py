@@ -65,7 +65,7 @@ def two_threads(monkeypatch):
 
 def threads_in_use():
     np.linalg.inv(np.eye(3))
-    return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
+    return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
 
 
 def test_one_thread_meanwhile_and_everything_as_before_afterwards(two_threads):
@@ -108,9 +108,9 @@ def test_tasks_are_shared_with_a_copy_of_the_process(monkeypatch):
         time.sleep(0.05)
         return number**2, os.getpid()
 
-    found = shared(work, range(6), steps.append)
-    assert [value for value, _ in found] == [0, 1, 4, 9, 16, 25]
-    assert len({process for _, process in found}) == 2
+    squares, processes = zip(*shared(work, range(6), steps.append), strict=True)
+    assert squares == (0, 1, 4, 9, 16, 25)
+    assert len({*processes}) == 2
     assert steps == list(range(6))
 
 

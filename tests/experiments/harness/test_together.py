@@ -58,19 +58,19 @@ def test_page_links_reports_and_names_failures(tmp_path, scripted, capsys):
 
 
 @pytest.mark.parametrize(
-    ("runs", "words", "status", "ran", "said"),
+    ("runs", "words", "status", "ran", "printed"),
     [
         ({"alpha": (2, None), "beta": (0, (True,))}, [], 3, ["alpha", "beta"], "no result (exit code 2)"),
         ({"alpha": (130, None)}, [], 130, ["alpha"], "no result (exit code 130)"),
         ({"beta": (0, (True,))}, ["beta"], 0, ["beta"], "1 of 1"),
     ],
 )
-def test_what_runs_and_what_is_said(tmp_path, scripted, runs, words, status, ran, said):
+def test_what_runs_and_what_is_said(tmp_path, scripted, runs, words, status, ran, printed):
     scripted[0].update(runs)
     assert main(["all", *words]) == status
     assert [command[3] for command in scripted[1]] == ran
     page = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
-    assert said in page
+    assert printed in page
     assert ("alpha/report.html" in page) == ("alpha" in ran and status == 0)
 
 
@@ -87,8 +87,8 @@ def test_bad_input(tmp_path, capsys, scripted, arguments, expected):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "index.html").write_text("<h1>thesis</h1>")
     assert main(["all", *arguments]) == 2
-    said = capsys.readouterr().err
-    assert expected in said
-    assert said.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert expected in printed
+    assert printed.count("\n") == 1
     assert scripted[1] == []
     assert (tmp_path / "mine" / "index.html").read_text() == "<h1>thesis</h1>"
