@@ -39,6 +39,20 @@ def test_long_work_in_a_pipe_says_a_line_now_and_then():
     assert log.getvalue() == "[9 s] render: 1 of 7, 54 s left\n[45 s] render: 5 of 7, 18 s left\n[93 s] judge\n"
 
 
+def test_a_terminal_shows_bars_and_notes_above_them(monkeypatch):
+    terminal = io.StringIO()
+    terminal.isatty = lambda: True
+    monkeypatch.setattr("sys.stderr", terminal)
+    monkeypatch.setenv("TERM", "xterm")
+    progress = terminal_progress()
+    with progress.stage("render", total=2) as stage:
+        stage.advance()
+        progress.note("a [remark]")
+    assert "render" in terminal.getvalue()
+    assert "a [remark]" in terminal.getvalue()
+    assert list(progress.times_s) == ["render"]
+
+
 def test_times_of_stages_add_up_and_survive_a_fault():
     progress = Progress()
     work(progress)

@@ -13,7 +13,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from experiments.harness import system
-from experiments.harness.interrupts import invoke
+from experiments.harness.interrupts import EXIT_INTERRUPTED, NOTHING_WRITTEN, interrupts, invoke
 from experiments.harness.system import THREADS, forked, one_thread, prompt_pool, shared
 
 
@@ -53,6 +53,32 @@ def test_signs_that_an_encoding_lacks(monkeypatch):
     assert invoke(show, [], prog="show", own_process=True) == 0
     sys.stdout.flush()
     assert written.getvalue().decode("cp1252").split() == ["0.3?", "±", "1"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(("at_once", "own_process"), [(True, True), (False, True), (False, False)])
+def test_a_signal_ends_a_command_with_its_message(number, at_once, own_process, monkeypatch, capfd):
+    """During imports the handler ends the process; later an error that an interrupted import raises counts as one."""
+
+    def leave():
+        raise SystemExit(EXIT_INTERRUPTED)
+
+    def work():
+        interrupts.at_once = at_once
+        try:
+            signal.raise_signal(number)
+        except KeyboardInterrupt:
+            raise ImportError("half an extension module") from None
+
+    monkeypatch.setattr("experiments.harness.interrupts._leave", leave)
+    command = click.Command("work", callback=work)
+    if own_process:
+        with pytest.raises(SystemExit, match="130"):
+            invoke(command, [], prog="work", own_process=True)
+    else:
+        assert invoke(command, [], prog="work", own_process=False) == EXIT_INTERRUPTED
+    assert capfd.readouterr().err == f"{NOTHING_WRITTEN}\n"
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 @pytest.fixture
