@@ -221,13 +221,10 @@ def test_only_the_engine_loads_drjit_and_mitsuba_and_sets_the_variant():
     assert not calls_set_variant("'''call set_variant'''  # set_variant")
 
 
-def test_files_are_short():
+def test_tests_are_no_package_and_files_are_short():
+    assert list((ROOT / "tests").rglob("__init__.py")) == []
     lines = {label(path): len(path.read_text(encoding="utf-8").splitlines()) for path in (*FILES, *TESTS)}
     assert {name: count for name, count in lines.items() if count >= LINES} == {}
-
-
-def test_tests_are_no_package():
-    assert list((ROOT / "tests").rglob("__init__.py")) == []
 
 
 def test_no_pyplot():

@@ -8,15 +8,12 @@ from optics import frames, load_lens, spot_moments
 SIZE = (4096, 2048)
 
 
-def test_field_angles_are_those_of_the_projections():
+def test_field_angles_are_those_of_the_projections_and_polar_directions_broadcast():
     v = frames.field_direction(3.0, -2.0)
     assert np.linalg.norm(v) == pytest.approx(1.0, abs=1e-15)
     assert v[0] / v[2] == pytest.approx(np.tan(np.radians(3.0)), abs=1e-15)
     assert v[1] / v[2] == pytest.approx(-np.tan(np.radians(2.0)), abs=1e-15)
     np.testing.assert_allclose(frames.field_angles_deg(v), (3.0, -2.0), atol=1e-13)
-
-
-def test_polar_directions_broadcast():
     v = frames.polar_direction([0.0, 30.0, 90.0], 45.0)
     half = np.sqrt(0.5)
     expected = [[0.0, 0.0, 1.0], [0.5 * half, 0.5 * half, np.sqrt(0.75)], [half, half, 0.0]]

@@ -116,15 +116,12 @@ def test_errors_of_pixel_phase_are_as_certain_as_stated(told):
     assert np.mean(np.square(pulls)) == pytest.approx(1.0, abs=1.1)
 
 
-def test_at_rest_pixel_errors_stay_in_the_mean_of_a_segment(told):
+def test_at_rest_pixel_and_focus_errors_stay_in_the_mean_of_a_segment(told):
     still, moving = prediction(told, (0.0, 0.0)).squares(ACROSS), prediction(told).squares(ACROSS)
     assert still["pixel_spatial"] == pytest.approx(0.0, abs=1e-15)
     assert still["fov_spatial"] == pytest.approx(moving["fov_spatial"] + moving["pixel_spatial"])
     assert still["total"] == moving["total"]
-
-
-def test_focus_errors_are_thermo_elastic_while_they_stay(told):
-    """At rest all of their variance, and none of the pixel spatial error; crossing whole pixels neither."""
+    # at rest all of their variance, and none of the pixel spatial error; crossing whole pixels neither
     errors = [replace(one, focus_arcsec2=PIXEL**2) for one in told]
     still, without = (prediction(each, (0.0, 0.0)).squares(ROLL) for each in (errors, told))
     assert still["thermo_elastic"] == pytest.approx(without["thermo_elastic"] + PIXEL[2] ** 2)

@@ -14,14 +14,11 @@ from calib.accuracy.ecss_metrics import (
 )
 
 
-def test_factors_of_a_normal_error():
+def test_factors_of_normal_errors_and_of_their_mixtures():
     assert normal_factor(0.6827) == pytest.approx(1.0, abs=1e-4)
     assert normal_factor(0.95) == pytest.approx(1.959964, abs=1e-6)
     assert normal_factor(0.9973) == pytest.approx(3.0, abs=1e-4)
-
-
-def test_mixture_of_normal_errors():
-    """One sigma: the normal factor. Half at rest: the level of the others is twice as far from 1."""
+    # one sigma: the normal factor. Half at rest: the level of the others is twice as far from 1
     assert mixture_bound(np.full(7, 2.0), 0.95) == pytest.approx(2.0 * 1.959964, rel=1e-6)
     assert mixture_bound(np.array([1e-9, 1.0]), 0.975) == pytest.approx(1.959964, rel=1e-6)
     assert mixture_bound(np.array([1.0, np.inf]), 0.6) == np.inf

@@ -11,9 +11,12 @@ M, W = 400, 25
 STARS = np.random.default_rng(5).uniform(0.0, 2000.0, (W, 2))
 
 
-def test_common_motion_cancels():
+def test_common_motion_and_errors_that_neighbours_share_do_not_show_in_the_steps():
     walk = np.random.default_rng(0).normal(size=(M, 1, 2)).cumsum(0)
     assert np.abs(high_frequency.step_residual_px(STARS + walk)).max() < 1e-9
+    error = np.tile(0.1 * np.random.default_rng(2).normal(size=(1, W, 2)), (M, 1, 1))
+    assert high_frequency.step_rms_px(STARS + error).max() < 1e-9
+    assert high_frequency.position_rms_px(error).min() > 0.05
 
 
 def test_a_star_that_jumps_once_is_seen_in_one_step():
@@ -40,12 +43,6 @@ def test_independent_errors_show_sqrt_2_times_in_the_steps_and_once_when_halved(
     np.testing.assert_allclose(
         high_frequency.position_rms_px(mean - STARS, np.full((M, W, 2), noise), frames), sigma, rtol=2 * margin
     )
-
-
-def test_errors_that_neighbours_share_do_not_show_in_the_steps():
-    error = np.tile(0.1 * np.random.default_rng(2).normal(size=(1, W, 2)), (M, 1, 1))
-    assert high_frequency.step_rms_px(STARS + error).max() < 1e-9
-    assert high_frequency.position_rms_px(error).min() > 0.05
 
 
 def test_the_jackknife_gives_the_scatter_from_one_set_of_stars_to_the_next():

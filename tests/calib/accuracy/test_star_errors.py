@@ -31,12 +31,15 @@ def stars():
     return star_errors(usual, LIMIT, radius_px=(0.0, 500.0), window_px=15, other_psfs=(wider, sharper))
 
 
-def test_noise_of_frames():
+def test_noise_of_frames_and_a_limit_for_false_alarms():
     empty_e2 = READ_E**2 * (1.0 + 1.0 / DARK_FRAMES) + BACKGROUND_E
     assert FRAME.empty_e2 == pytest.approx(empty_e2)
     assert FRAME.noise.floor_e2 == pytest.approx(empty_e2 - BACKGROUND_E)
     assert FRAME.spread == pytest.approx(10.0 / empty_e2)
     assert FRAME.dark_pattern_e == pytest.approx(READ_E / 2.0)
+    limit = DetectionLimit.of_false_alarms(0.01, frame=FRAME, pixels=10**6, fwhm_px=FWHM_PX)
+    assert limit.false_alarms == pytest.approx(0.01, rel=1e-3)
+    assert limit.threshold_sigma == pytest.approx(limit.true_sigma / 0.9)
 
 
 def test_noise_and_pattern_of_a_faint_star(stars):
@@ -75,12 +78,6 @@ def test_a_single_psf_is_that_of_the_whole_field(stars):
     alone = star_errors((gaussian_epsf(SIGMA_PX, 8, 10),), LIMIT, window_px=15)
     np.testing.assert_allclose(alone.centroid.noise_px[0], stars.centroid.noise_px[0])
     assert not alone.colour_px.any()
-
-
-def test_a_limit_for_false_alarms():
-    limit = DetectionLimit.of_false_alarms(0.01, frame=FRAME, pixels=10**6, fwhm_px=FWHM_PX)
-    assert limit.false_alarms == pytest.approx(0.01, rel=1e-3)
-    assert limit.threshold_sigma == pytest.approx(limit.true_sigma / 0.9)
 
 
 def test_magnitude_limits_are_where_the_fraction_of_stars_passes():

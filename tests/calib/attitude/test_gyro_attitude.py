@@ -108,7 +108,7 @@ def test_a_rate_that_turns_evenly_is_exact_to_third_order_from_the_first_interva
     assert np.all(np.array(errors[0]) / errors[1] > 20.0)
 
 
-def test_requested_times():
+def test_requested_times_of_one_record_and_of_many():
     """On the ends of intervals the whole products, between them a constant rate; any order, both ends."""
     rng = np.random.default_rng(4)
     time, rate = np.arange(11) * 0.1, rng.normal(size=(10, 3))
@@ -119,9 +119,6 @@ def test_requested_times():
     assert (
         between * (Rotation.from_rotvec(-0.04 * rate[3]) * integrate_rates(time, rate, [0.3], coning=False)).inv()
     ).magnitude()[0] < 1e-15
-
-
-def test_many_records_are_each_alone():
     rng = np.random.default_rng(5)
     time, rates = np.arange(8) * 0.2, rng.normal(size=(4, 7, 3))
     at = [0.0, 0.5, 1.4]

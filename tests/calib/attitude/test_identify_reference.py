@@ -90,15 +90,12 @@ def test_distorted_lens(database, stars):
     assert identify(pixel, PINHOLE, database, flux=flux, tolerance_px=0.2).status == "inconsistent"
 
 
-def test_order_stands_for_brightness(database, stars):
+def test_order_stands_for_brightness_and_better_directions_may_be_handed_in(database, stars):
     _, pixel, flux, truth = frame(stars, 5, false=10)
     order = np.argsort(-flux)
     found = identify(pixel[order], PINHOLE, database)
     assert found.ok
     assert (truth[order][found.detected] >= 0).all()
-
-
-def test_better_directions_may_be_handed_in(database, stars):
     _, pixel, flux, _ = frame(stars, 6)
     bright = dict(zip(stars[0][:9000].tolist(), stars[1][:9000], strict=True))
     found = identify(pixel, PINHOLE, database, flux=flux, catalogue=bright)
@@ -115,17 +112,14 @@ def test_nothing_to_find(database):
     assert identify(np.empty((0, 2)), PINHOLE, database).status == "too_few"
 
 
-def test_database_is_kept(database, stars, tmp_path):
+def test_database_is_kept_with_its_epoch(database, stars, tmp_path):
     database.save_to_file(str(tmp_path / "stars.bin"))
     _, pixel, flux, _ = frame(stars, 8)
     assert identify(pixel, PINHOLE, load_database(tmp_path / "stars.bin"), flux=flux).ok
     (tmp_path / "broken.bin").write_bytes(b"no stars")
     with pytest.raises(ConfigError, match="not a star pattern database"):
         load_database(tmp_path / "broken.bin")
-
-
-def test_positions_keep_the_epoch_of_the_catalogue(database):
-    """The columns called proper motion hold magnitudes; carrying positions by them would move every star."""
+    # the columns called proper motion hold magnitudes; carrying positions by them would move every star
     assert database.parameters["epoch_proper_motion_year"] == 2016.0
 
 

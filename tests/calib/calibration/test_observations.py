@@ -19,16 +19,13 @@ def made(**change):
     return Observations.isotropic(**(values | change))
 
 
-def test_isotropic_fills_in_what_was_left_out():
+def test_isotropic_fills_in_what_was_left_out_and_locks_copies():
     observations = made(sigma_px=np.linspace(0.1, 0.6, N))
     assert len(observations) == N
     assert observations.frames == 4
     assert observations.band.tolist() == [0] * N
     assert observations.star.tolist() == [-1] * N
     np.testing.assert_allclose(observations.covariance_px2[2], [[0.09, 0.0], [0.0, 0.09]], rtol=1e-14)
-
-
-def test_arrays_are_copied_and_locked():
     pixel = np.zeros((N, 2))
     observations = made(pixel_px=pixel)
     pixel[0] = 7.0
@@ -49,13 +46,10 @@ def test_select_keeps_the_numbers_of_the_frames():
     assert len(observations.select(np.zeros(N, bool))) == 0
 
 
-def test_an_empty_list_has_all_its_columns():
+def test_empty_lists_and_directions_of_single_precision():
     empty = made(pixel_px=np.empty((0, 2)), direction=np.empty((0, 3)), frame=[], frames=5)
     assert (len(empty), empty.frames, empty.covariance_px2.shape) == (0, 5, (0, 2, 2))
     assert made(pixel_px=np.empty((0, 2)), direction=np.empty((0, 3)), frame=[]).frames == 0
-
-
-def test_directions_from_single_precision_are_brought_to_length_one():
     exact = sky_directions(N)
     observations = made(direction=exact.astype(np.float32))
     np.testing.assert_allclose(np.linalg.norm(observations.direction, axis=1), 1.0, rtol=0, atol=3e-16)

@@ -120,10 +120,15 @@ def test_a_star_towards_x_lands_at_a_larger_column_and_towards_y_at_a_larger_row
     assert abs(row[0]) < 0.2 * row[1]
 
 
-def test_a_pinhole_is_the_tangent_and_integers_are_pixel_centres():
+def test_a_pinhole_is_the_tangent_and_the_grid_spans_pixel_centres():
     camera = BrownConrady.create(SensorGeometry(width_px=101, height_px=51, pixel_pitch_mm=0.01), focal_length_mm=10.0)
     pixel = camera.project([[0.0, 0.0, 1.0], [np.tan(0.02), 0.0, 1.0], [0.0, -0.02, 2.0]])
     np.testing.assert_allclose(pixel, [[50.0, 25.0], [50.0 + 1000.0 * np.tan(0.02), 25.0], [50.0, 15.0]], atol=1e-12)
+    grid = OBLONG.grid_px(3)
+    np.testing.assert_array_equal(grid[:3], [[0.0, 0.0], [749.5, 0.0], [1499.0, 0.0]])
+    np.testing.assert_array_equal(grid[-1], [1499.0, 899.0])
+    np.testing.assert_array_equal(OBLONG.centre_px, grid[4])
+    np.testing.assert_array_equal(OBLONG.corners_px.mean(axis=0), OBLONG.centre_px)
 
 
 @pytest.mark.parametrize(
@@ -184,20 +189,17 @@ def test_beyond_the_fold_there_is_no_direction():
         assert np.isnan(camera.unproject([centre + (turn + 1e-3) * towards, centre + 3000.0 * towards])).all()
 
 
-def test_a_folded_image_is_not_taken_for_the_sky():
-    """A direction behind the fold has a pixel on the detector; that pixel belongs to another direction."""
-    camera = BrownConrady.create(GEOMETRY, focal_length_mm=10.0, q1_per_mm2=-1.0 / 300.0)
-    ghost, star = [1.6, 0.0, 1.0], [0.2, 0.0, 1.0]
-    assert GEOMETRY.contains(camera.project([ghost])).all()
-    assert camera.visible([ghost, star, [0.0, 0.0, -1.0]]).tolist() == [False, True, False]
-
-
-def test_visible_ends_at_the_edge_of_the_last_pixel():
+def test_visible_ends_at_the_edge_of_the_last_pixel_and_at_the_fold():
     camera = BrownConrady.create(GEOMETRY, focal_length_mm=25.6)
     direction = camera.unproject([[1023.49, 5.0], [1023.51, 5.0], [-0.51, 5.0], [1025.0, 5.0]])
     assert camera.visible(direction).tolist() == [True, False, False, False]
     assert camera.visible(direction, margin_px=0.1).tolist() == [True, True, True, False]
     assert bands().visible(bands().unproject([[5.0, 5.0]] * 3, [0, 1, 2]), [0, 1, 2]).all()
+    # A direction behind the fold has a pixel on the detector; that pixel belongs to another direction
+    camera = BrownConrady.create(GEOMETRY, focal_length_mm=10.0, q1_per_mm2=-1.0 / 300.0)
+    ghost, star = [1.6, 0.0, 1.0], [0.2, 0.0, 1.0]
+    assert GEOMETRY.contains(camera.project([ghost])).all()
+    assert camera.visible([ghost, star, [0.0, 0.0, -1.0]]).tolist() == [False, True, False]
 
 
 def test_a_map_that_folds_and_unfolds_is_inverted_on_the_sheet_of_the_axis():
@@ -267,11 +269,3 @@ def test_names_end_in_units_and_cover_the_parameters(model):
     assert len(set(model.parameter_names)) == len(model.parameters) == len(model.parameter_scales)
     assert all(name.split("_")[-1] in {"px", "mm", "mm2", "mm4", "mm6"} for name in model.parameter_names)
     assert set(model.pinhole_names) <= set(model.parameter_names)
-
-
-def test_the_grid_spans_the_detector_row_by_row():
-    grid = OBLONG.grid_px(3)
-    np.testing.assert_array_equal(grid[:3], [[0.0, 0.0], [749.5, 0.0], [1499.0, 0.0]])
-    np.testing.assert_array_equal(grid[-1], [1499.0, 899.0])
-    np.testing.assert_array_equal(OBLONG.centre_px, grid[4])
-    np.testing.assert_array_equal(OBLONG.corners_px.mean(axis=0), OBLONG.centre_px)

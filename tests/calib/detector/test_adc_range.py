@@ -12,21 +12,15 @@ def readings(seed=1, top=65535, step=1):
     return (np.rint(noise / step) * step).clip(0, top).astype(np.uint16)
 
 
-def test_noise_has_no_step_no_top_and_no_zeros():
+def test_ends_and_step_of_a_converter():
     found = converter_range(readings(), false_alarm=1e-3)
     assert (found.step_dn, found.zero_fraction) == (1, 0.0)
     assert found.top_count <= found.top_limit
-
-
-def test_clipped_readings_pile_up_at_the_ends():
     found = converter_range(readings(top=110), false_alarm=1e-3)
     assert found.top_dn == 110
     assert found.top_count > 3 * found.top_limit
     dark = converter_range([np.array([0, 0, 7], np.uint16), np.array([9], np.uint16)], false_alarm=1e-3)
     assert dark.zero_fraction == 0.5
-
-
-def test_fewer_bits_in_the_upper_ones_are_a_step():
     found = converter_range(readings(step=4), false_alarm=1e-3)
     assert found.step_dn == 4
     assert found.top_count <= found.top_limit

@@ -65,16 +65,13 @@ def test_a_mixture_has_heavier_tails() -> None:
     assert np.all(np.diff(check.found) >= 0)
 
 
-def test_outliers_are_found_together() -> None:
+def test_outliers_are_found_together_and_false_alarms_are_as_stated() -> None:
     rng = np.random.default_rng(11)
     w = sample_fisher(MEAN, 1e12, 60, rng)
     w[[5, 17, 40]] = _plane(np.array([2e-5, 2e-5, 2.1e-5]), np.array([1e-6, 0.0, -1e-6]))
     np.testing.assert_array_equal(np.flatnonzero(fisher_checks.fisher_outliers(w)), [5, 17, 40])
     assert fit_fisher(w).sigma_rad > 3 * fit_fisher(w[~fisher_checks.fisher_outliers(w)]).sigma_rad
-
-
-def test_false_alarms_of_the_outlier_test() -> None:
-    """N = 1000 good samples: 5 % is known to 0.7 %; Bonferroni's bound, so not above."""
+    # N = 1000 good samples: 5 % is known to 0.7 %; Bonferroni's bound, so not above
     rng = np.random.default_rng(13)
     alarms = [fisher_checks.fisher_outliers(sample_fisher(MEAN, 1e12, 25, rng), level=0.05).any() for _ in range(1000)]
     assert 0.02 < np.mean(alarms) < 0.05 + 4 * 0.007

@@ -26,12 +26,9 @@ def test_what_is_not_determined_is_infinite_and_named_with_its_direction():
     assert "+1 offset, -0.5 slope" in found.message or "-1 offset, +0.5 slope" in found.message
 
 
-def test_fewer_measurements_than_unknowns_and_no_effect_at_all():
+def test_what_has_no_effect_or_no_rate_has_no_finite_variance():
     found = covariance_of_jacobian(np.array([[1.0, 0.0, 0.0]]), ("a", "b", "c"))
     assert np.isinf(np.diagonal(found.covariance)).tolist() == [False, True, True]
     assert found.covariance[0, 0] == 1.0
-
-
-def test_a_coordinate_without_a_rate_has_no_finite_variance():
     out = transformed_covariance(np.diag([4.0, 1.0]), np.array([[1.0, 0.0], [np.inf, np.inf]]))
     np.testing.assert_array_equal(out, [[4.0, 0.0], [0.0, np.inf]])

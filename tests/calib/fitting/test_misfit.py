@@ -64,13 +64,10 @@ def test_calibrations_say_that_the_stated_noise_is_wrong(method, wrong):
         assert "stated too large" in repr(solution)
 
 
-def test_minimum_of_a_parabola_of_chi_square():
+def test_minimum_of_a_parabola_and_published_quantiles():
     """chi-square 1000 + (x - 45)^2 / 10 of 1000 degrees of freedom: sigma is sqrt(10)."""
     value = np.array([20.0, 58.0, 90.0])
     assert chi_square_minimum(value, 1000 + 0.1 * (value - 45.0) ** 2, 1000) == pytest.approx((45.0, np.sqrt(10.0)))
     assert np.isnan(chi_square_minimum(value, -(value**2), 10)).all()
-
-
-def test_two_sided_quantiles_of_published_tables():
     assert two_sided_quantile(0.05) == pytest.approx(1.959964, abs=1e-6)
     assert two_sided_quantile(0.05, 4) == pytest.approx(2.776, abs=5e-4)

@@ -27,11 +27,14 @@ def fitted(seed, airmass=AIRMASS, **options):
     return fit_photometry(**drawn, frames=6, flux_error_e=0.01 * drawn["flux_e"], airmass=airmass)
 
 
-def test_light_gives_zero_points_colour_vignetting_and_extinction():
+def test_light_gives_zero_points_colour_vignetting_and_with_airmass_extinction():
     fit = fitted(7)
     np.testing.assert_allclose(fit.scatter_mag, 0.06, rtol=0.25)
     np.testing.assert_allclose(fit.colour_mag, TERMS, atol=0.05)
     np.testing.assert_allclose(fit.zero_point_mag, 15.2 - 0.3 * AIRMASS, atol=4.0 * fit.zero_point_error_mag.max())
+    fit = fitted(7, airmass=None)
+    assert np.isnan(fit.extinction_mag)
+    assert fit.above_mag == pytest.approx(fit.zero_point_mag.mean())
 
 
 def test_pulls_of_forty_nights():
@@ -52,20 +55,11 @@ def test_pulls_of_forty_nights():
     assert 0.4 < rms[2] < 1.0 + 4.0 / np.sqrt(80.0)  # the larger of two errors is stated
 
 
-def test_without_airmass_the_mean_zero_point_is_stated():
-    fit = fitted(7, airmass=None)
-    assert np.isnan(fit.extinction_mag)
-    assert fit.above_mag == pytest.approx(fit.zero_point_mag.mean())
-
-
-def test_stars_without_noise_give_zero_point_and_corner_exactly():
+def test_noiseless_zero_points_and_scatter_by_airmass():
     drawn = stars(3, scatter=0.0)
     drawn["flux_e"] = 10.0 ** (-0.4 * (drawn["magnitude"] - 14.0 - 0.1 * (drawn["colour"] - 1.0) + 0.5 * drawn["u2"]))
     del drawn["frame"]
     assert noiseless_zero_point(**drawn) == pytest.approx((14.0, 0.5))
-
-
-def test_scatter_follows_the_airmass_of_enough_frames():
     mass = np.array([1.0, 1.2, 1.4, 1.6])
     assert scatter_at(mass, 0.05 * mass, 2.0) == pytest.approx(0.1)
     assert scatter_at(mass[:3], 0.05 * mass[:3], 2.0) == pytest.approx(0.06)

@@ -28,15 +28,12 @@ def test_a_singlet_in_capitals_or_not_by_radii_or_curvatures(tmp_path: Path) -> 
     assert paraxial(load_lens(written(tmp_path, curved))).efl_mm == pytest.approx(1 / power, rel=1e-12)
 
 
-def test_every_command_is_reported_with_its_line(tmp_path: Path) -> None:
+def test_every_command_is_reported_with_its_line_and_defaults_are_taken(tmp_path: Path) -> None:
     file = read_lens_file(written(tmp_path, SINGLET))
     lines = {line.line for line in file.report.lines}
     assert lines == set(range(1, 21)) - {9}  # line 9 goes on from line 8
     edge = next(line for line in file.report.lines if "EDG" in line.command)
     assert (edge.status, edge.surface) == (Status.IGNORED, 2)
-
-
-def test_defaults(tmp_path: Path) -> None:
     defaults = read_lens_file(written(tmp_path, SINGLET)).defaults
     assert defaults.field_deg.tolist() == [[0.0, 0.0], [0.0, 3.0]]
     assert defaults.wavelength_weight.tolist() == [1.0, 2.0, 1.0]

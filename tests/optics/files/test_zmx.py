@@ -82,10 +82,13 @@ def test_units_scale_every_length(tmp_path: Path, unit: str, mm: float) -> None:
     assert sags[0] == pytest.approx(mm * sags[1], rel=1e-12)
 
 
-def test_lines_that_are_not_there_or_not_indented(tmp_path: Path) -> None:
+def test_lines_that_are_not_there_not_indented_or_unknown(tmp_path: Path) -> None:
     """No VERS, no TYPE, surface data at the margin: each makes another reader fail or drop the surface."""
     bare = SINGLET.replace("VERS 190513 80 123457 L123457\n", "").replace("  TYPE STANDARD\n", "").replace("\n  ", "\n")
     assert load_lens(written(tmp_path, bare)).surfaces[0].shape.curvature == pytest.approx(0.02)
+    text = SINGLET.replace("  DISZ 5.0\n", "  DISZ 5.0\n  WARP 3\n") + "EFFL 0 2 0 0 0 0 100 1 0 0\n"
+    file = read_lens_file(written(tmp_path, text))
+    assert [line.command for line in file.report.inexact] == ["WARP 3"]
 
 
 def test_obsolete_successor_names_both_and_the_change(tmp_path: Path) -> None:
@@ -202,14 +205,11 @@ def test_a_folded_lens_turns_as_the_file_says(tmp_path: Path) -> None:
     assert any("stores 44" in str(line) for line in wrong.report.inexact)
 
 
-def test_apertures_by_f_number_and_by_the_stop(tmp_path: Path) -> None:
+def test_apertures_by_f_number_and_by_the_stop_and_fields_by_height(tmp_path: Path) -> None:
     lens = load_lens(written(tmp_path, SINGLET.replace("ENPD 10.0", "FNUM 8 0")))
     assert paraxial(lens).f_number == pytest.approx(8.0, rel=1e-9)
     lens = load_lens(written(tmp_path, SINGLET.replace("ENPD 10.0", "FLOA")))
     assert lens.surfaces[0].semi_diameter_mm == 7.5
-
-
-def test_field_heights_become_angles(tmp_path: Path) -> None:
     text = SINGLET.replace("FTYP 0 0 2 3", "FTYP 2 0 2 3")
     file = read_lens_file(written(tmp_path, text))
     assert file.lens.max_field_deg == pytest.approx(np.degrees(np.arctan(3.0 / paraxial(file.lens).efl_mm)), rel=1e-9)
@@ -228,9 +228,3 @@ def test_configurations_are_a_list_to_choose_from(tmp_path: Path) -> None:
     defaults = read_lens_file(path).defaults
     assert (defaults.configuration, defaults.configurations) == (1, 2)
     refuses(ConfigError, "configuration 3 does not exist", load_lens, f"{path}#3")
-
-
-def test_unknown_commands_count_as_a_possible_difference(tmp_path: Path) -> None:
-    text = SINGLET.replace("  DISZ 5.0\n", "  DISZ 5.0\n  WARP 3\n") + "EFFL 0 2 0 0 0 0 100 1 0 0\n"
-    file = read_lens_file(written(tmp_path, text))
-    assert [line.command for line in file.report.inexact] == ["WARP 3"]

@@ -252,14 +252,6 @@ def test_a_coordinate_break_carries_forward(axes, first):
     np.testing.assert_allclose(lens.image_rotation, rotation, atol=1e-15)
 
 
-def test_the_opposite_order_and_signs_undo_a_break():
-    there = {**BREAK, "axes": "moving", "first": "decentre"}
-    back = {**BREAK, "axes": "fixed", "first": "tilt", "decentre_mm": [-0.5, 0.3], "tilt_deg": [-ALPHA, -BETA, -GAMMA]}
-    lens = lens_from_table({**HEAD, "surface": [STOP, there, back, PLATE, {**STOP, "stop": False}]}, where="t")
-    np.testing.assert_allclose(lens.surfaces[1].rotation, np.eye(3), atol=1e-15)
-    np.testing.assert_allclose(lens.surfaces[1].position_mm, [0.0, 0.0, 20.0], atol=1e-14)
-
-
 def test_a_tilt_of_one_surface_does_not_carry_and_carry_forward_does():
     tilted = {**PLATE, "tilt_deg": [ALPHA, BETA], "decentre_mm": [0.1, 0.2, 0.3]}
     behind = {**STOP, "stop": False}

@@ -46,11 +46,8 @@ def plate_and_lens(**thermal):
     return lens
 
 
-def test_a_null_state_gives_the_lens_back():
+def test_a_null_state_gives_the_lens_back_and_states_add():
     assert heated_lens(LENS, ThermalState(), Housing(expansion_per_k=ALUMINIUM)) is LENS
-
-
-def test_states_add_and_scale():
     a, b = ThermalState(mean_k=1.0, radial_k=-2.0), ThermalState(mean_k=3.0, transverse_y_k=4.0)
     assert a + 2.0 * b == ThermalState(mean_k=7.0, radial_k=-2.0, transverse_y_k=8.0)
     assert list(ThermalState(axial_k=2.0).vector) == [2.0 * (name == "axial_k") for name in COMPONENTS]

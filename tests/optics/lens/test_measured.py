@@ -83,15 +83,12 @@ def test_vignetting_is_all_causes_together():
     np.testing.assert_allclose(light, PchipInterpolator([0, 3, 7], [1, 0.9, 0.5])(radius), rtol=1e-6)
 
 
-def test_ideal_lens_images_by_the_tangent_in_air():
+def test_ideal_lens_images_by_the_tangent_in_air_with_a_blur_per_axis():
     lens = ideal_lens(focal_length_mm=50.0, f_number=2.5, max_field_deg=15.0)
     assert paraxial(lens).efl_mm == pytest.approx(50.0, rel=1e-14)
     assert paraxial(lens).f_number == pytest.approx(2.5, rel=1e-14)
     assert np.abs(distortion_map(lens, focal_length_mm=50.0).relative).max() < 1e-13
     assert spot_moments(lens, [0.0, 15.0], [0.0, 0.0], [400.0, 900.0]).rms_radius_mm.max() < 1e-13
     assert paraxial(stopped_down(lens, 5.0)).entrance_pupil_radius_mm == pytest.approx(5.0)
-
-
-def test_blur_of_an_ideal_lens_is_per_axis():
     lens = ideal_lens(focal_length_mm=50.0, f_number=2.0, spot_um=3.0)
     assert replace(lens).blur_um == pytest.approx(3.0 / np.sqrt(2.0))

@@ -6,16 +6,13 @@ import pytest
 from optics.lens.thermal_history import ThermalHistory, first_order_response
 
 
-def test_a_step_is_followed_exponentially_and_exactly():
+def test_first_order_response_to_a_step_and_to_a_square_wave():
     time = 7.0 * np.arange(200)
     warmed = np.where(time > 0.0, 2.0, 0.0)
     np.testing.assert_allclose(
         first_order_response(warmed, step_s=7.0, constant_s=90.0), 2.0 * (1.0 - np.exp(-time / 90.0)), rtol=1e-12
     )
-
-
-def test_a_square_wave_settles_between_the_levels_of_its_periodic_state():
-    """On for a and off for b: the hottest is (1 - exp(-a)) / (1 - exp(-a - b)), times in time constants."""
+    # on for a and off for b: the hottest is (1 - exp(-a)) / (1 - exp(-a - b)), times in time constants
     wave = np.tile(np.repeat([1.0, 0.0], [300, 700]), 12)
     response = first_order_response(wave, step_s=0.01, constant_s=1.0)[-1000:]
     hottest = (1.0 - np.exp(-3.0)) / (1.0 - np.exp(-10.0))

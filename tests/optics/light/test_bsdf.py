@@ -64,16 +64,13 @@ def test_dust_diffracts_as_much_as_it_covers(level: float) -> None:
     assert law.tis == pytest.approx(bsdf.area_coverage(level), rel=1e-12)
 
 
-def test_dust_of_one_size_is_an_airy_disk_in_the_middle() -> None:
+def test_dust_of_one_size_is_an_airy_disk_and_what_it_throws_on_is_even() -> None:
     """At level 1 all particles are 1 um wide: n (pi D^2 / 4 lambda)^2 straight on, half of it where Airy has it."""
     law = bsdf.Particles(level=1.0, wavelength_nm=500.0, forward=0.0)
     count = 1e-5 * 1.0  # one particle on 0.1 m^2, counted twice: as the distribution and as the largest
     straight = (np.pi * 1e-6 / 4.0 / 5e-4) ** 2
     assert float(law.bsdf(0.0)) == pytest.approx(count * straight, rel=0.01)
     assert float(law.bsdf(1.6163 / np.pi * 0.5) / law.bsdf(0.0)) == pytest.approx(0.5, abs=0.01)
-
-
-def test_what_dust_throws_on_is_spread_evenly() -> None:
     bare, bright = (bsdf.Particles(level=300.0, wavelength_nm=600.0, forward=g) for g in (0.0, 0.8))
     apart = bright.bsdf([0.01, 0.5]) - bare.bsdf([0.01, 0.5])
     np.testing.assert_allclose(apart, 0.8 * bsdf.area_coverage(300.0) / np.pi, rtol=1e-9)

@@ -14,39 +14,17 @@ from optics.frames import field_direction, light_direction
 from optics.waves.image_quality import encircled_energy, peak, strehl, strehl_through_focus, transfer_function
 from optics.waves.pupil_field import needed_order, trace_pupil
 
-
-def airy(v):
-    return (2.0 * j1(v) / np.where(v == 0.0, 1.0, v)) ** 2 + (v == 0.0)
-
-
 K = 2.0 * np.pi * INDEX / (WAVE_NM * 1e-6)  # [1/mm]
 
 
-def test_a_perfect_lens_images_an_airy_pattern():
-    sine, grid = 0.17, np.linspace(-0.02, 0.02, 41)
-    image = ideal_pupil(sine).intensity(grid, grid)
-    v = K * sine * np.hypot(*np.meshgrid(grid, grid))
-    top = np.pi * (INDEX / (WAVE_NM * 1e-6)) ** 2 * sine**2  # area of directions times light per mm^2 of the plane
-    assert np.abs(image - top * airy(v)).max() < 1e-9 * top
-
-
-def test_an_annulus_images_the_difference_of_two_airy_amplitudes():
-    sine, hole, grid = 0.17, 0.5, np.linspace(-0.02, 0.02, 40)
+@pytest.mark.parametrize("hole", [0.0, 0.5])
+def test_a_perfect_lens_images_an_airy_pattern_and_an_annulus_the_difference_of_two_amplitudes(hole):
+    sine, grid = 0.17, np.linspace(-0.02, 0.02, 40)
     image = ideal_pupil(sine, hole).intensity(grid, grid)
     v = K * sine * np.hypot(*np.meshgrid(grid, grid))
-    amplitude = (2.0 * j1(v) / v - hole**2 * 2.0 * j1(hole * v) / (hole * v)) / (1.0 - hole**2)
+    amplitude = (2.0 * j1(v) / v - hole * 2.0 * j1(hole * v) / v) / (1.0 - hole**2)
     top = np.pi * (INDEX / (WAVE_NM * 1e-6)) ** 2 * sine**2 * (1.0 - hole**2)
     assert np.abs(image - top * amplitude**2).max() < 1e-9 * top
-
-
-def test_the_peak_through_focus_is_a_sinc_for_slow_light():
-    """I(z) / I(0) = sinc^2(u / 4 pi), u = k z sin^2; the exact phase k z cos is linear in r^2 to sin^4 / 8."""
-    sine = 0.01
-    field = ideal_pupil(sine)
-    for z in (0.5, 1.3, 5.0):
-        on_axis = field.shifted(z).intensity(np.zeros(1), np.zeros(1))[0, 0] / field.intensity(*[np.zeros(1)] * 2)[0, 0]
-        u = K * z * sine**2
-        assert on_axis == pytest.approx(np.sinc(u / 4.0 / np.pi) ** 2, abs=3e-5)
 
 
 def test_defocus_of_fast_light_is_the_integral_over_the_cone():

@@ -22,20 +22,20 @@ def test_numbering_is_that_of_the_published_tables():
     assert fringe[35:] == ((10, 0), (12, 0))
 
 
-def test_polynomials_are_orthonormal_over_the_disk_and_fringe_terms_1_at_the_rim():
+def test_polynomials_are_orthonormal_known_and_fitted_again():
     disk = gauss_disk(12, 32)
     terms = zernikes(disk.x, disk.y, 45)
     assert (terms * disk.weight) @ terms.T == pytest.approx(np.eye(45), abs=1e-13)
     rim = zernikes(np.ones(1), np.zeros(1), 37, "fringe")[:, 0]
     assert rim == pytest.approx([0.0 if m < 0 else 1.0 for _, m in zernike_numbers(37, "fringe")], abs=1e-12)
-
-
-def test_known_polynomials():
     x, y = 0.3, -0.5
     r2 = x * x + y * y
     spherical, coma_y = (zernikes(np.array([x]), np.array([y]), 11)[j - 1, 0] for j in (11, 7))
     assert spherical == pytest.approx(np.sqrt(5.0) * (6.0 * r2**2 - 6.0 * r2 + 1.0))
     assert coma_y == pytest.approx(np.sqrt(8.0) * (3.0 * r2 - 2.0) * y)
+    disk = gauss_disk(6, 16)
+    value = 3.0 * zernikes(disk.x, disk.y, 8)[7]
+    assert fit_zernikes(disk.x, disk.y, value, disk.weight, 11) == pytest.approx(3.0 * (np.arange(11) == 7), abs=1e-12)
 
 
 @pytest.mark.parametrize("order", ["noll", "ansi", "fringe"])
@@ -46,9 +46,3 @@ def test_a_map_of_coefficients_is_found_again_in_the_wavefront(order):
     error[:3] = 0.0  # piston, and tilt, which the reference point takes up
     before, after = (wavefront(f).zernike_nm(21, order) for f in (field, zernike_map(error, order).added_to(field)))
     assert (after - before)[3:15] == pytest.approx(error[3:], abs=0.2)
-
-
-def test_fit_to_values():
-    disk = gauss_disk(6, 16)
-    value = 3.0 * zernikes(disk.x, disk.y, 8)[7]
-    assert fit_zernikes(disk.x, disk.y, value, disk.weight, 11) == pytest.approx(3.0 * (np.arange(11) == 7), abs=1e-12)

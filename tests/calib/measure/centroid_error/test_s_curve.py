@@ -69,10 +69,3 @@ def test_the_flag_keeps_no_star_out_of_an_attitude_and_is_seen_on_use():
     assert not has_flag(stars.flags, UNFIT).any()
     assert np.all(stars.phase_error_px > 5 * stars.sigma_x_px)
     assert {"width_px", "phase_error_px"} <= set(stars.to_table().colnames)
-
-
-@pytest.mark.parametrize("sigma_px", [0.5, 2.0])
-def test_a_fit_of_the_right_form_has_no_such_error(measured, sigma_px):
-    by_noise, _, table = measured("gaussian", sigma_px, 1e5)
-    assert by_noise == pytest.approx(1.0, abs=0.13)
-    assert np.isnan(table.phase_error_px).all()

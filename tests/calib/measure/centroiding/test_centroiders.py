@@ -42,17 +42,14 @@ def stars():
     return stamps_of(electrons, x + 0.1, y - 0.1, background_e=4.0)
 
 
-def test_the_five_are_registered_under_the_names_they_carry():
+def test_the_five_are_registered_under_their_names_which_are_read_without_numpy():
     assert set(FIVE) <= set(NAMES)
     for name in NAMES:
         assert centroider_class(name).name == name
     labels = [centroider_class(name).label for name in NAMES]
     assert len(set(labels)) == len(NAMES)
     assert [name for name in FIVE if needs_epsf(name)] == ["epsf"]
-
-
-def test_names_are_read_without_importing_numpy():
-    """A command line checks a configuration's names before anything slow is imported."""
+    # A command line checks a configuration's names before anything slow is imported
     code = "import sys, calib.measure.centroiding.registry as r; r.list_centroiders(); print('numpy' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
     assert done.stdout.strip() == "False"

@@ -31,6 +31,7 @@ def test_pixel_integrated_gaussian_has_no_s_curve(sigma_px):
     pull, table = measured([(1.0, sigma_px)], 3e5)
     assert np.sqrt(np.mean(pull**2)) == pytest.approx(1.0, abs=4.0 / np.sqrt(2.0 * len(pull)))
     assert has_flag(table.flags, StarFlag.PIXEL_PHASE).mean() < 0.01
+    assert np.isnan(table.phase_error_px).all()
 
 
 @pytest.mark.parametrize("flux_e", [3e4, 3e5])

@@ -17,21 +17,15 @@ def drawn(shift, count=400, seed=1):
     return features, kind, rng.integers(0, 8, 2 * count)
 
 
-def test_area_of_two_normal_distributions():
+def test_area_of_two_normal_distributions_and_of_pairs_with_ties():
     """Shifted by d the best area is Phi(d / sqrt 2); of 400 + 400 its standard deviation is below 0.02."""
     result = separability(*drawn(1.0))
     assert result.area == pytest.approx(norm.cdf(1.0 / np.sqrt(2.0)), abs=0.06)
     assert 0.01 < result.error < 0.02
     assert result.first == 400
     np.testing.assert_allclose(result.effect, [0.0, 0.0, 1.0, 0.0], atol=4.0 * np.sqrt(2.0 / 400.0))
-
-
-def test_images_of_one_kind_cannot_be_told_apart():
     result = separability(*drawn(0.0))
     assert abs(result.area - 0.5) < 0.08
-
-
-def test_area_counts_pairs_and_half_of_the_ties():
     score, kind = np.array([1.0, 2.0, 2.0, 3.0]), np.array([0, 0, 1, 1])
     assert roc_area(score, kind) == pytest.approx((1.0 + 0.5 + 1.0 + 1.0) / 4.0)
 
