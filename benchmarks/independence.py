@@ -201,7 +201,7 @@ COMPARISONS = (
         experiment="acf",
         what="reprojection error and covariance",
         predicted=("experiments.acf.reprojection:expected_at", "experiments.acf.table2:covariances"),
-        measured=("experiments.acf.trials:perform",),
+        measured=("experiments.acf.trials:run_trials",),
     ),
     Comparison(
         experiment="skycal",

@@ -27,8 +27,8 @@ def camera_settings(config: InstrumentConfig) -> dict[str, Any]:
     geometry = SensorGeometry(
         width_px=camera.width_px, height_px=camera.height_px, pixel_pitch_mm=camera.pixel_pitch_mm
     )
-    place = geometry.grid_px(POINTS)
-    direction = camera.nominal_direction(place[:, 0], place[:, 1], instrument.focal_length_mm)
+    x_px, y_px = geometry.grid_px(POINTS).T
+    direction = camera.nominal_direction(x_px, y_px, instrument.focal_length_mm)
     lens = camera.focused_lens
     x_mm, y_mm = chief_ray_points(lens, *field_angles_deg(direction), blocked="follow")
     pixel = camera.centre_px + np.column_stack([x_mm, -y_mm]) / camera.pixel_pitch_mm

@@ -20,14 +20,14 @@ from render.sensor_file.file import read_sensor
 from render.sensor_file.tables import InstrumentConfig
 
 WIDEST_DEG = 120.0
-"""Across the diagonal; a rectilinear image of more is all edge."""
+"""Largest field across the diagonal: a rectilinear image stretches as 1 / cos^2 of the field angle."""
 UNKNOWNS = 14
 CAMERA_UNKNOWNS = 8
 Number = TypeVar("Number", int, float)
 
 
 def _ascending(values: tuple[Number, ...], least: int = 1) -> tuple[Number, ...]:
-    # not a length of the field: one wrong number in a list would be a short list too
+    # checked here: with a least length of the field, a wrong number in a list would also be refused as a short list
     if len(values) < least:
         raise ValueError(f"{len(values)} given; at least {least} are needed")
     if any(later <= earlier for earlier, later in pairwise(values)):
@@ -40,7 +40,7 @@ ONE, TWO = AfterValidator(_ascending), AfterValidator(partial(_ascending, least=
 GyroSizes = Annotated[tuple[Annotated[float, Field(ge=0, le=1000)], ...], ONE]
 
 
-class CameraConfig(StrictModel):
+class AcfCameraConfig(StrictModel):
     """The star sensor of Table 1, which does not state the pixel pitch."""
 
     width_px: int = Field(default=1024, ge=16, le=20000, description="columns")
@@ -66,7 +66,7 @@ class CameraConfig(StrictModel):
         return 2.0 * math.degrees(math.atan2(half_mm, self.focal_length_mm))
 
     @model_validator(mode="after")
-    def _forms_an_image(self) -> CameraConfig:
+    def _forms_an_image(self) -> AcfCameraConfig:
         if self.diagonal_deg > WIDEST_DEG:
             raise ValueError(
                 f"focal_length_mm = {self.focal_length_mm:g} mm: the field is {self.diagonal_deg:.0f} deg across the "
@@ -82,7 +82,7 @@ class CameraConfig(StrictModel):
         return self
 
 
-class StartConfig(StrictModel):
+class AcfStartConfig(StrictModel):
     """Start values of ACC: Table 2, no distortion, theta = 0; the other methods start from ACC's camera."""
 
     focal_length_mm: float = Field(default=20.0, gt=0, le=1e5, description="initial focal length")
@@ -93,7 +93,7 @@ class StartConfig(StrictModel):
     )
 
 
-class GyroConfig(StrictModel):
+class AcfGyroConfig(StrictModel):
     """The gyro of Table 1 and the motion; ACF17 does not state the axes of rotation."""
 
     rate_hz: float = Field(default=100.0, gt=0, le=10000, description="samples per second")
@@ -112,7 +112,7 @@ class GyroConfig(StrictModel):
     )
 
 
-class SkyConfig(StrictModel):
+class AcfSkyConfig(StrictModel):
     """Stars, uniform over the sphere; ACF17 does not state their number."""
 
     # with one star in a frame there is no interstar angle and no free attitude
@@ -135,13 +135,13 @@ class SweepConfig(StrictModel):
     skies: int = Field(default=100, ge=4, le=10000, description="runs per point, each with another sky")
 
 
-class Config(SensorExperimentConfig):
+class AcfConfig(SensorExperimentConfig):
     """The published runs; ACF17 does not state pixel pitch, number of stars and axes of motion."""
 
-    camera: CameraConfig = CameraConfig()
-    start: StartConfig = StartConfig()
-    gyro: GyroConfig = GyroConfig()
-    sky: SkyConfig = SkyConfig()
+    camera: AcfCameraConfig = AcfCameraConfig()
+    start: AcfStartConfig = AcfStartConfig()
+    gyro: AcfGyroConfig = AcfGyroConfig()
+    sky: AcfSkyConfig = AcfSkyConfig()
     frames: int = Field(
         default=60, ge=4, le=1000, description="frames; odd frames calibrate, even frames test (sec. 3.1)"
     )
@@ -176,7 +176,7 @@ class Config(SensorExperimentConfig):
         from experiments.acf.sensor import camera_settings
 
         camera = camera_settings(InstrumentConfig.model_validate(read_sensor(file, SensorConfig).get("instrument", {})))
-        off = StartConfig().focal_length_mm / CameraConfig().focal_length_mm
+        off = AcfStartConfig().focal_length_mm / AcfCameraConfig().focal_length_mm
         return {"camera": camera, "start": {"focal_length_mm": off * camera["focal_length_mm"]}}
 
     def as_sensor(self, file: Path | None) -> SensorConfig | None:
@@ -184,7 +184,7 @@ class Config(SensorExperimentConfig):
         return None if file is None else parse_model(SensorConfig, read_sensor(file, SensorConfig), str(file))
 
     @model_validator(mode="after")
-    def _enough(self) -> Config:
+    def _enough(self) -> AcfConfig:
         if self.gyro.rate_hz < self.frame_rate_hz:
             raise ValueError(
                 f"gyro.rate_hz = {self.gyro.rate_hz:g} Hz: at least frame_rate_hz = {self.frame_rate_hz:g} Hz is needed"
@@ -213,7 +213,7 @@ class Config(SensorExperimentConfig):
 
 experiment = Experiment(
     name="acf",
-    config=Config,
+    config=AcfConfig,
     run="experiment:run",
     sections="experiment:SECTIONS",
     axes="experiment:axes",

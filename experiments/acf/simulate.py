@@ -15,7 +15,7 @@ from calib.calibration.drawn_stars import DrawnStars
 from calib.calibration.observations import Observations
 from calib.cameras.base import SensorGeometry
 from calib.cameras.brown_conrady import BrownConrady
-from experiments.acf.settings import Config
+from experiments.acf.settings import AcfConfig
 from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 from optics.records import freeze_all
@@ -28,7 +28,7 @@ HOUR_S = 3600.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scene:
+class AcfScene:
     """True values common to all runs."""
 
     camera: BrownConrady  # The star sensor
@@ -36,28 +36,22 @@ class Scene:
     body: Rotation  # Gyro body at a frame from gyro body at the first
     installation: Rotation  # Cam from gyro body
     time_s: FloatArray  # (f,) Times of the frames
-    swept: FloatArray  # (f, 3, 3) Integral over time of the first body from the body at t [s]
+    swept: FloatArray  # (f, 3, 3) Time integral of the rotations to the first body frame [s]
     motion: TurningAxis  # Motion of the gyro's body
 
     def __post_init__(self) -> None:
         freeze_all(self, time_s=("f",), swept=("f", 3, 3))
 
 
-def build_camera(config: Config, pixel_um: float | None = None) -> BrownConrady:
-    """The true camera, with another pixel if one is given."""
-    c = config.camera
-    pitch_mm = 1e-3 * (c.pixel_pitch_um if pixel_um is None else pixel_um)
-    camera = BrownConrady.create(
-        SensorGeometry(width_px=c.width_px, height_px=c.height_px, pixel_pitch_mm=pitch_mm),
-        focal_length_mm=c.focal_length_mm,
-        x0_px=c.x0_px,
-        y0_px=c.y0_px,
-        q1_per_mm2=c.q1_per_mm2,
-        q2_per_mm4=c.q2_per_mm4,
-        q3_per_mm6=c.q3_per_mm6,
-        p1_per_mm=c.p1_per_mm,
-        p2_per_mm=c.p2_per_mm,
+def build_camera(config: AcfConfig, pixel_um: float | None = None) -> BrownConrady:
+    """The true camera; ``pixel_um`` replaces the configured pixel pitch."""
+    values = config.camera.model_dump()
+    configured_um = values.pop("pixel_pitch_um")
+    pitch_mm = 1e-3 * (configured_um if pixel_um is None else pixel_um)
+    geometry = SensorGeometry(
+        width_px=values.pop("width_px"), height_px=values.pop("height_px"), pixel_pitch_mm=pitch_mm
     )
+    camera = BrownConrady.create(geometry, **values)
     pixel = camera.geometry.grid_px(33)
     folded = ~np.isfinite(camera.unproject(pixel)).all(axis=1)
     if folded.any():
@@ -71,15 +65,15 @@ def build_camera(config: Config, pixel_um: float | None = None) -> BrownConrady:
     return camera
 
 
-def start_camera(config: Config, geometry: SensorGeometry) -> BrownConrady:
+def start_camera(config: AcfConfig, geometry: SensorGeometry) -> BrownConrady:
     """The camera that the adjustments start from: no distortion."""
     s = config.start
     return BrownConrady.create(geometry, focal_length_mm=s.focal_length_mm, x0_px=s.x0_px, y0_px=s.y0_px)
 
 
 @lru_cache(maxsize=8)
-def build_scene(config: Config, pixel_um: float | None = None) -> Scene:
-    """Camera, motion and gyro of a configuration; ``pixel_um`` replaces the configured pixel."""
+def build_scene(config: AcfConfig, pixel_um: float | None = None) -> AcfScene:
+    """Camera, motion and gyro of a configuration; ``pixel_um`` as of `build_camera`."""
     gyro = config.gyro
     installation = rotation_of_angles(DEG_RAD * np.array(gyro.installation_deg))
     first = rotation_of_angles(DEG_RAD * np.array(config.sky.phi_deg))
@@ -92,7 +86,7 @@ def build_scene(config: Config, pixel_um: float | None = None) -> Scene:
         end_s=end,
     )
     body = trajectory.attitude(time)
-    return Scene(
+    return AcfScene(
         camera=build_camera(config, pixel_um),
         attitude=installation * body,
         body=body * body[0].inv(),
@@ -104,41 +98,39 @@ def build_scene(config: Config, pixel_um: float | None = None) -> Scene:
 
 
 def gyro_rotations(
-    scene: Scene, config: Config, streams: Streams, runs: range, noise: tuple[float, float]
+    scene: AcfScene, config: AcfConfig, streams: Streams, runs: range, noise: tuple[float, float]
 ) -> list[Rotation]:
-    """The gyro's rotations of the body, frame by frame from the first, for each run."""
+    """Measured rotations of the body since the first frame, for each run; ``noise`` as of `TrialPoint.gyro`."""
     bias, walk = noise
     if bias == 0.0 and walk == 0.0:
         return [scene.body] * len(runs)
-    triad = Gyro(
+    gyro = Gyro(
         rate_hz=config.gyro.rate_hz, bias_deg_per_h=np.zeros(3), angle_random_walk_deg_per_sqrt_h=np.full(3, walk)
     )
-    time, rates = simulate_gyro_runs(scene.motion, triad, streams, runs=runs)
+    time, rates = simulate_gyro_runs(scene.motion, gyro, streams, runs=runs)
     for row, run in enumerate(runs):
         sign = streams.generator("bias sign", run).choice([-1.0, 1.0], 3)
         rates[row] += sign * bias * DEG_RAD / HOUR_S
     return list(integrate_rates_many(time, rates, scene.time_s))
 
 
-def choose_frames(stars: DrawnStars, scene: Scene, which: str) -> tuple[NDArray[np.bool_], IntArray]:
-    """Stars of the frames that calibrate, and the frames: "odd" (first, third, ...), "even", or "all"."""
+def choose_frames(stars: DrawnStars, scene: AcfScene, which: str) -> tuple[NDArray[np.bool_], IntArray]:
+    """Stars of the frames that calibrate, and the frames: "odd" (first, third, ...) or "all"."""
     frames = np.arange(len(scene.time_s))
-    kept = {"odd": frames % 2 == 0, "even": frames % 2 == 1, "all": frames >= 0}[which]
-    return kept[stars.frame], frames[kept]
+    chosen = frames % 2 == 0 if which == "odd" else frames >= 0
+    return chosen[stars.frame], frames[chosen]
 
 
 def observe(
     stars: DrawnStars, mask: NDArray[np.bool_], frames: IntArray, noise_px: float, rng: np.random.Generator
 ) -> Observations:
-    """Noisy positions of some of the stars; frames are numbered anew."""
-    number = np.full(int(frames.max()) + 1, -1)
-    number[frames] = np.arange(len(frames))
+    """Noisy positions of some of the stars, whose frames are numbered from 0."""
     # drawn for all stars: leaving a frame out changes no other star's noise
     noise = noise_px * rng.standard_normal(stars.pixel_px.shape)
     return Observations.isotropic(
         pixel_px=(stars.pixel_px + noise)[mask],
         direction=stars.direction[mask],
-        frame=number[stars.frame[mask]],
+        frame=np.searchsorted(frames, stars.frame[mask]),
         star=stars.star[mask],
         sigma_px=noise_px,
         frames=len(frames),

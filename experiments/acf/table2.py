@@ -2,7 +2,7 @@
 
 Principal point and attitude are nearly degenerate: the printed errors of both must cancel in the image, x0 in pixels
 against phi in arcseconds, which they do for one pixel size only. Their likelihood under the covariance of eq. 11
-therefore determines the pixel size, which the document does not state, and their magnitude the number of stars per
+therefore determines the pixel size, which ACF17 does not state, and their magnitude the number of stars per
 frame. The angles theta are left out, because their effect depends on the unpublished motion.
 """
 
@@ -17,9 +17,9 @@ from calib.attitude.euler_angles import angle_per_increment, angles_of_rotation,
 from calib.calibration.linked_design import LinkedDesign, correlated_covariance, free_bound, linked_bound
 from calib.fitting.normal_errors import log_likelihood
 from experiments.acf.reprojection import root_mean_square, table2_point
-from experiments.acf.settings import Config
+from experiments.acf.settings import AcfConfig
 from experiments.acf.simulate import build_scene
-from experiments.acf.trials import Point, Trials, gyro_drift, sky_of, table1_gyro
+from experiments.acf.trials import TrialPoint, Trials, gyro_drift, sky_of, table1_gyro
 from experiments.harness.sections import Section, col
 from experiments.harness.summary import Measured
 from optics.arrays import FloatArray
@@ -40,10 +40,9 @@ ROUNDING = np.array([0.01, 0.01, 1e-4, 1e-6, 1e-11, 1e-10, 1e-6, 1e-6, *(1e-4,) 
 """Unit of the last printed digit. The errors of phi and theta are printed too, consistently, in arcsec."""
 CAMERA, FIRST = 8, 11
 """Unknowns of the camera; those and the angles of the first frame."""
-PLACES = 11
+GRID_STARS = 11
 """Stars along each side of the detector, a regular grid, in the design that is scaled to other numbers."""
-GREEK = {"phi": "φ", "theta": "θ"}
-NAMES = [GREEK.get(name[:-1], name[:-1]) + name[-1] if name != "f" else name for name in UNKNOWNS]
+NAMES = [name.replace("phi", "φ").replace("theta", "θ") for name in UNKNOWNS]
 """Symbols of the unknowns in tables."""
 
 
@@ -51,18 +50,18 @@ NAMES = [GREEK.get(name[:-1], name[:-1]) + name[-1] if name != "f" else name for
 class Covariances:
     """Predicted at one noise; angles phi and theta in rad."""
 
-    perfect: FloatArray  # (14, 14) ACC by its own account, which takes the gyro as perfect
-    acc: FloatArray  # (14, 14) ACC with the gyro's error carried through
-    linked: FloatArray  # (14, 14) Cramer-Rao bound with that gyro
-    free: FloatArray  # (8, 8) Cramer-Rao bound with an attitude of its own in every frame
+    perfect: FloatArray  # (14, 14) As ACC states it: the gyro taken as perfect, eq. 11
+    acc: FloatArray  # (14, 14) ACC with the gyro's error propagated
+    linked: FloatArray  # (14, 14) Cramer-Rao bound with the noise of the gyro
+    free: FloatArray  # (8, 8) Cramer-Rao bound with a free attitude in every frame
 
 
-def covariances(config: Config, point: Point) -> Covariances:
+def covariances(config: AcfConfig, point: TrialPoint) -> Covariances:
     """Covariances of the estimates of a point, with its first gyro."""
     sky = sky_of(config, point, 0)
-    used, error = sky.calibrating, gyro_drift(sky.scene, point.gyro[0])
-    to_angles = np.eye(14)
-    for start, rotation in ((8, sky.scene.attitude[0]), (11, sky.scene.installation)):
+    design, drift = sky.calibrating, gyro_drift(sky.scene, point.gyro[0])
+    to_angles = np.eye(14)  # from rotation vectors
+    for start, rotation in ((CAMERA, sky.scene.attitude[0]), (FIRST, sky.scene.installation)):
         rows = slice(start, start + 3)
         to_angles[rows, rows] = angle_per_increment(angles_of_rotation(rotation))
 
@@ -70,10 +69,10 @@ def covariances(config: Config, point: Point) -> Covariances:
         return np.asarray(to_angles @ covariance @ to_angles.T)
 
     return Covariances(
-        perfect=angles(correlated_covariance(used, point.noise_px)),
-        acc=angles(correlated_covariance(used, point.noise_px, error)),
-        linked=angles(linked_bound(used, point.noise_px, error)),
-        free=free_bound(used, point.noise_px),
+        perfect=angles(correlated_covariance(design, point.noise_px)),
+        acc=angles(correlated_covariance(design, point.noise_px, drift)),
+        linked=angles(linked_bound(design, point.noise_px, drift)),
+        free=free_bound(design, point.noise_px),
     )
 
 
@@ -85,7 +84,7 @@ def in_degrees(values: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Unknown:
+class Table2Row:
     """Errors of an unknown: published, measured, bound."""
 
     unit: str = col("Unit")
@@ -100,13 +99,15 @@ class Unknown:
     n: int = col("Runs", shown=False)
 
 
-def table2(config: Config, trials: Mapping[str, Trials], expected: Covariances) -> list[Unknown]:
+def table2(config: AcfConfig, trials: Mapping[str, Trials], expected: Covariances) -> list[Table2Row]:
     """Table 2: published errors next to the runs' mean error, their scatter, and the bound of one run."""
     all_errors = in_degrees(trials[table2_point(config).name].of("acc", "error"))
     true = np.concatenate([build_scene(config).camera.parameters, config.sky.phi_deg, config.gyro.installation_deg])
-    bound, carried = (in_degrees(np.sqrt(np.diag(one))) for one in (expected.perfect, expected.acc))
+    bound, bound_with_gyro_error = (
+        in_degrees(np.sqrt(np.diag(covariance))) for covariance in (expected.perfect, expected.acc)
+    )
     return [
-        Unknown(
+        Table2Row(
             unit=UNITS[k],
             true=float(true[k]),
             published=float(PRINTED[k]),
@@ -115,7 +116,7 @@ def table2(config: Config, trials: Mapping[str, Trials], expected: Covariances) 
             mean_error=float(errors.mean()),
             std=float(errors.std(ddof=1)),
             bound=float(bound[k]),
-            bound_with_gyro_error=float(carried[k]),
+            bound_with_gyro_error=float(bound_with_gyro_error[k]),
             n=len(errors),
         )
         for k, errors in enumerate(all_errors.T)
@@ -123,97 +124,100 @@ def table2(config: Config, trials: Mapping[str, Trials], expected: Covariances) 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sums:
+class Degeneracy:
     """Joint effect of the inseparable coefficients."""
 
-    correlation: Sequence[float] = col("Correlation", "", "+.3f", "coefficients")
-    sight_arcsec: float = col("Line of sight, RMS over the detector", "arcsec", ".1f")
+    radial_correlation: Sequence[float] = col("Correlation", "", "+.3f", "coefficients")
+    line_of_sight_arcsec: float = col("Line of sight, RMS over the detector", "arcsec", ".1f")
 
 
-def sums(config: Config, trials: Mapping[str, Trials], expected: Covariances) -> Sums:
+def degeneracy(config: AcfConfig, trials: Mapping[str, Trials], expected: Covariances) -> Degeneracy:
     """Correlations of the radial coefficients, and the error of the line of sight."""
-    size = np.sqrt(np.diag(expected.perfect))
-    correlation = expected.perfect / np.outer(size, size)
-    sight, _ = root_mean_square(trials[table2_point(config).name].of("acc", "sight_arcsec") ** 2, 0)
-    return Sums(correlation=[correlation[3, 4], correlation[3, 5], correlation[4, 5]], sight_arcsec=float(sight))
+    sigma = np.sqrt(np.diag(expected.perfect))
+    correlation = expected.perfect / np.outer(sigma, sigma)
+    rms_arcsec, _ = root_mean_square(trials[table2_point(config).name].of("acc", "line_of_sight_arcsec") ** 2, 0)
+    return Degeneracy(
+        radial_correlation=[correlation[3, 4], correlation[3, 5], correlation[4, 5]],
+        line_of_sight_arcsec=float(rms_arcsec),
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Implied:
-    """Pixel and stars from Table 2, read as one calibration at 0.1 px."""
+    """Pixel and stars from Table 2, taken as a single calibration at 0.1 px."""
 
     pixel_um: Measured = col("Pixel", "um")
-    stars: float = col("Stars", "per frame", ".0f")
-    # Where the likelihood (the pixel at its best) has fallen by 1/2
-    stars_range: FloatArray = col("Stars", "per frame", ".0f", "end")
+    stars_per_frame: float = col("Stars", "per frame", ".0f")
+    # Where the profile log-likelihood is 1/2 below its maximum
+    stars_per_frame_range: FloatArray = col("Stars", "per frame", ".0f", "end")
     chi2: float = col("χ² of 11", "", ".1f")
-    chi2_assumed: float = col("χ² of 11 at 10 µm", "", ".0f")
+    chi2_at_assumed_pixel: float = col("χ² of 11 at 10 µm", "", ".0f")
 
 
 def implied(points: int = 29, printed: FloatArray = PRINTED) -> Implied:
-    """Pixel and stars per frame from Table 2; a function of the document alone, not of the configuration."""
-    config = Config()
-    pixel = np.linspace(4.0, 12.0, 161)
-    least = float(pixel[np.argmin([printed_reprojection_px2(config, um, printed) for um in pixel])])
-    tried, stars = np.linspace(0.86, 1.14, points) * least, np.geomspace(2.0, 200.0, 93)
-    chi2, log_likelihood = np.moveaxis(np.stack([_fit(config, um, stars, printed) for um in tried]), 1, 0)
-    place = np.unravel_index(np.argmax(log_likelihood), log_likelihood.shape)
-    over_pixel, over_stars = log_likelihood.max(1), log_likelihood.max(0)
-    weight = np.exp(over_pixel - over_pixel.max())
-    mean = float(weight @ tried / weight.sum())
-    sigma = float(np.sqrt(weight @ (tried - mean) ** 2 / weight.sum()))
-    assumed_chi2, assumed = _fit(config, config.camera.pixel_pitch_um, stars, printed)
+    """Pixel and stars per frame from Table 2; a function of ACF17 alone, not of the configuration."""
+    config = AcfConfig()
+    coarse_um = np.linspace(4.0, 12.0, 161)
+    start_um = float(coarse_um[np.argmin([printed_reprojection_px2(config, um, printed) for um in coarse_um])])
+    pixel_um, stars = np.linspace(0.86, 1.14, points) * start_um, np.geomspace(2.0, 200.0, 93)
+    chi2, log_likelihood = np.moveaxis(np.stack([_fit(config, um, stars, printed) for um in pixel_um]), 1, 0)
+    best = np.unravel_index(np.argmax(log_likelihood), log_likelihood.shape)
+    pixel_profile, stars_profile = log_likelihood.max(1), log_likelihood.max(0)
+    weight = np.exp(pixel_profile - pixel_profile.max())
+    mean = float(weight @ pixel_um / weight.sum())
+    sigma = float(np.sqrt(weight @ (pixel_um - mean) ** 2 / weight.sum()))
+    assumed_chi2, assumed_likelihood = _fit(config, config.camera.pixel_pitch_um, stars, printed)
     return Implied(
         pixel_um=Measured(value=mean, unit="um", uncertainty=sigma, n=FIRST),
-        stars=float(stars[place[1]]),
-        stars_range=stars[over_stars > over_stars.max() - 0.5][[0, -1]],
-        chi2=float(chi2[place]),
-        chi2_assumed=float(assumed_chi2[np.argmax(assumed)]),
+        stars_per_frame=float(stars[best[1]]),
+        stars_per_frame_range=stars[stars_profile > stars_profile.max() - 0.5][[0, -1]],
+        chi2=float(chi2[best]),
+        chi2_at_assumed_pixel=float(assumed_chi2[np.argmax(assumed_likelihood)]),
     )
 
 
-def printed_reprojection_px2(config: Config, pixel_um: float, printed: FloatArray) -> float:
+def printed_reprojection_px2(config: AcfConfig, pixel_um: float, printed: FloatArray) -> float:
     """Mean square distance between printed and true camera and attitude, on the first frame."""
     true = build_scene(config, pixel_um).camera
     direction = true.unproject(true.geometry.grid_px(25))
-    turn = rotation_of_angles(DEG_RAD * printed[CAMERA:FIRST]) * rotation_of_angles(DEG_RAD * TRUE[CAMERA:FIRST]).inv()
-    moved = true.with_parameters(printed[:CAMERA]).project(turn.apply(direction))
-    return float(((moved - true.project(direction)) ** 2).sum(1).mean())
+    attitude, printed_attitude = (rotation_of_angles(DEG_RAD * angles[CAMERA:FIRST]) for angles in (TRUE, printed))
+    printed_px = true.with_parameters(printed[:CAMERA]).project((printed_attitude * attitude.inv()).apply(direction))
+    return float(((printed_px - true.project(direction)) ** 2).sum(1).mean())
 
 
-def _fit(config: Config, pixel_um: float, stars: FloatArray, printed: FloatArray) -> FloatArray:
+def _fit(config: AcfConfig, pixel_um: float, stars: FloatArray, printed: FloatArray) -> FloatArray:
     """chi^2 of the printed errors and logarithm of their likelihood (2, s), for numbers of stars per frame (s,)."""
     scene, design = build_scene(config, pixel_um), _even_design(config, pixel_um)
     perfect = correlated_covariance(design, 0.1)
     gyro = correlated_covariance(design, 0.1, gyro_drift(scene, table1_gyro(config))) - perfect
-    unit = np.eye(FIRST)
-    unit[CAMERA:, CAMERA:] = angle_per_increment(DEG_RAD * TRUE[CAMERA:FIRST]) / DEG_RAD
-    perfect, gyro = (unit @ part[:FIRST, :FIRST] @ unit.T for part in (perfect, gyro))
+    to_degrees = np.eye(FIRST)  # from rotation vectors
+    to_degrees[CAMERA:, CAMERA:] = angle_per_increment(DEG_RAD * TRUE[CAMERA:FIRST]) / DEG_RAD
+    perfect, gyro = (to_degrees @ part[:FIRST, :FIRST] @ to_degrees.T for part in (perfect, gyro))
     error = (printed - TRUE)[:FIRST]
     rounding = np.diag(ROUNDING[:FIRST] ** 2 / 12.0)
-    return np.transpose([log_likelihood(error, perfect * (PLACES**2 / count) + gyro + rounding) for count in stars])
+    return np.transpose([log_likelihood(error, perfect * (GRID_STARS**2 / n) + gyro + rounding) for n in stars])
 
 
-def _even_design(config: Config, pixel_um: float) -> LinkedDesign:
+def _even_design(config: AcfConfig, pixel_um: float) -> LinkedDesign:
     """Stars spread evenly over the detector, in the frames that calibrate."""
     scene = build_scene(config, pixel_um)
     camera, geometry = scene.camera, scene.camera.geometry
-    step = (np.arange(PLACES) + 0.5) / PLACES - 0.5
-    place = np.stack(np.meshgrid(step * geometry.width_px, step * geometry.height_px), axis=-1).reshape(-1, 2)
-    seen = camera.unproject(geometry.centre_px + place)
+    step = (np.arange(GRID_STARS) + 0.5) / GRID_STARS - 0.5
+    offset_px = np.stack(np.meshgrid(step * geometry.width_px, step * geometry.height_px), axis=-1).reshape(-1, 2)
+    in_cam = camera.unproject(geometry.centre_px + offset_px)
     frames = np.arange(0, config.frames, 2)
-    direction = np.concatenate([rotation.inv().apply(seen) for rotation in scene.attitude[frames]])
-    return LinkedDesign.at(camera, scene.attitude, scene.installation, direction, np.repeat(frames, len(seen)))
+    direction = np.concatenate([attitude.inv().apply(in_cam) for attitude in scene.attitude[frames]])
+    return LinkedDesign.at(camera, scene.attitude, scene.installation, direction, np.repeat(frames, len(in_cam)))
 
 
 TABLE2 = {
     "table2": Section(
-        record=Unknown,
+        record=Table2Row,
         dim="unknown",
         caption="ACF17 Table 2: errors after calibration, published, measured, and the Cramér–Rao bound of one run.",
         note="Odd frames calibrate. Standard error of the mean: standard deviation of a run / √runs. "
         "The bound assumes a perfect gyro, as eq. 11 does; the last column includes the gyro's error.",
     ),
-    "sums": Section(record=Sums),
+    "degeneracy": Section(record=Degeneracy),
     "implied": Section(record=Implied),
 }

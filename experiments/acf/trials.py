@@ -1,8 +1,7 @@
-"""Monte-Carlo runs: every method calibrates the same noisy stars; the result does not depend on the number of
-processes.
+"""Monte-Carlo runs: every method calibrates the same noisy stars.
 
-Random streams are named by point and run; workers use one thread for linear algebra, and results keep the order of the
-tasks.
+The result does not depend on the number of processes: random streams are named by point and run, workers use one thread
+for linear algebra, and results have the order of the tasks.
 """
 
 from __future__ import annotations
@@ -29,8 +28,8 @@ from calib.calibration.linked_design import GyroDrift, LinkedDesign, correlated_
 from calib.calibration.observations import Observations
 from calib.cameras.brown_conrady import BrownConrady
 from calib.cameras.line_of_sight import drawn_rms, expected_rms, line_of_sight_map, mean_square_matrix
-from experiments.acf.settings import Config
-from experiments.acf.simulate import HOUR_S, Scene, build_scene, choose_frames, gyro_rotations, observe, start_camera
+from experiments.acf.settings import AcfConfig
+from experiments.acf.simulate import HOUR_S, AcfScene, build_scene, choose_frames, gyro_rotations, observe, start_camera
 from experiments.harness.system import one_thread, shared
 from optics.arrays import FloatArray
 from optics.units import DEG_RAD
@@ -38,20 +37,20 @@ from render.engine.random import Streams
 
 Method = Literal["acc", "linked", "free", "iac", "iac_full"]
 COMPARED: tuple[Method, ...] = ("acc", "linked", "free", "iac", "iac_full")
-"""The document's method (ACC), a gyro of stated noise, free attitudes, interstar angles (IAC) as published, and IAC
-fully weighted."""
+"""ACC of the paper, a gyro of stated noise, free attitudes, interstar angles (IAC) as published, fully weighted IAC."""
 LINKED = ("acc", "linked")
+"""Methods that use the gyro."""
 GRID = 15
-"""Field points along each side of the line-of-sight map and of the residual distortion."""
+"""Points along each side of the line-of-sight map and of the residual distortion."""
 DRAWN = 400
-"""Errors that are drawn of every sky for the scatter of a gain."""
+"""Line-of-sight errors drawn from the predicted covariance of every sky, for the scatter of a gain."""
 CHUNK = 25
-"""Runs of a task at most; a part of a second to a few seconds of work."""
+"""Largest number of runs of a task: a few seconds of work at most."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Point:
-    """A setting that runs are made of."""
+class TrialPoint:
+    """Settings of a series of Monte-Carlo runs."""
 
     name: str  # Name of its random streams
     runs: int
@@ -61,48 +60,48 @@ class Point:
     methods: tuple[Method, ...]  # "acc" and "linked" run for every gyro, the others once
     frames: Literal["odd", "all"] = "odd"  # Frames that calibrate. After "odd", noise-free even frames are reprojected
     stars: int | None = None  # Stars in every frame; None: the density of the configuration
-    own_sky: bool = False  # Whether each run has a sky of its own; otherwise all runs see sky 0
-    pixel_um: float | None = None  # Pixel in place of the configured one
-    keep_reprojections: bool = False  # Whether each star's reprojection error is kept
+    new_sky_each_run: bool = False  # Otherwise all runs see sky 0
+    pixel_um: float | None = None  # Pixel pitch; None: the configured one
+    keep_reprojection_errors: bool = False  # Whether the trials hold the reprojection error of every star
 
 
-def table1_gyro(config: Config) -> tuple[float, float]:
+def table1_gyro(config: AcfConfig) -> tuple[float, float]:
     """Bias [deg/h] and angle random walk [deg/sqrt(h)] of the configured gyro, by default Table 1's."""
     return config.gyro.bias_deg_per_h, config.gyro.angle_random_walk_deg_per_sqrt_h
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trials:
-    """The runs of a point: arrays with the runs along the first axis, named as `work` does."""
+    """The runs of a point: arrays with the runs along the first axis, named as `run_task` does."""
 
-    point: Point
+    point: TrialPoint
     values: Mapping[str, FloatArray]
 
-    def of(self, method: str, what: str, gyro: int | None = 0) -> FloatArray:
-        """One figure of one method; ``gyro`` counts for ACC and the linked adjustment only."""
+    def of(self, method: str, quantity: str, gyro: int | None = 0) -> FloatArray:
+        """A quantity of a method; ``gyro`` numbers the gyros of the `LINKED` methods."""
         label = f"{method}@{gyro}" if method in LINKED else method
-        return self.values[f"{label}.{what}"]
+        return self.values[f"{label}.{quantity}"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
     """Runs ``first`` to ``last`` - 1 of a point."""
 
-    config: Config
-    point: Point
+    config: AcfConfig
+    point: TrialPoint
     first: int
     last: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sky:
+class NightSky:
     """Stars of a sky, and the design at the truth."""
 
-    scene: Scene
+    scene: AcfScene
     stars: DrawnStars
     used: NDArray[np.bool_]  # (n,) Stars that calibrate
-    kept: NDArray[np.int64]  # Frames that calibrate
-    design: LinkedDesign
+    frames: NDArray[np.int64]  # Frames that calibrate
+    design: LinkedDesign  # Of all stars
 
     @property
     def calibrating(self) -> LinkedDesign:
@@ -110,79 +109,75 @@ class Sky:
         return self.design.select(self.used)
 
     @property
-    def judging(self) -> LinkedDesign:
-        """Design of the stars that are reprojected."""
+    def reprojected(self) -> LinkedDesign:
+        """Design of the stars that do not calibrate."""
         return self.design.select(~self.used)
 
 
-def work(task: Task) -> dict[str, FloatArray]:
+def run_task(task: Task) -> dict[str, FloatArray]:
     """Runs of a task."""
     point, scene = task.point, build_scene(task.config, task.point.pixel_um)
-    grid = field_of(task.config, task.point.pixel_um)
+    grid = map_grid(task.config, task.point.pixel_um)
     streams = Streams(task.config.seed).child("acf", point.name)
     runs = range(task.first, task.last)
-    turned = [
-        gyro_rotations(scene, task.config, streams.child("gyro", k), runs, pair) for k, pair in enumerate(point.gyro)
+    rotations = [
+        gyro_rotations(scene, task.config, streams.child("gyro", k), runs, noise) for k, noise in enumerate(point.gyro)
     ]
-    rows: list[dict[str, Any]] = []
+    results: list[dict[str, Any]] = []
     for index, run in enumerate(runs):
         sky = sky_of(task.config, point, run)
-        observed = observe(sky.stars, sky.used, sky.kept, point.noise_px, streams.generator("noise", run))
-        row: dict[str, Any] = {}
+        observed = observe(sky.stars, sky.used, sky.frames, point.noise_px, streams.generator("noise", run))
+        result: dict[str, Any] = {}
         for method in point.methods:
             for k in range(len(point.gyro)) if method in LINKED else (None,):
-                rotation = None if k is None else turned[k][index]
-                judged = _judged(task, sky, observed, method, k or 0, rotation)
-                row |= {f"{method if k is None else f'{method}@{k}'}.{what}": v for what, v in judged.items()}
-        if point.own_sky:
-            row |= _bounds(point, sky, grid.mean_square, streams.generator("expected gain", run))
-        rows.append(row)
-    return {key: np.stack([np.asarray(row[key], float) for row in rows]) for key in rows[0]}
+                rotation = None if k is None else rotations[k][index]
+                errors = _calibration_errors(task, sky, observed, method, k or 0, rotation)
+                label = method if k is None else f"{method}@{k}"
+                result |= {f"{label}.{quantity}": value for quantity, value in errors.items()}
+        if point.new_sky_each_run:
+            result |= _bounds(point, sky, grid.mean_square, streams.generator("expected gain", run))
+        results.append(result)
+    return {key: np.stack([np.asarray(result[key], float) for result in results]) for key in results[0]}
 
 
 @lru_cache(maxsize=4)
-def _shared_sky(config: Config, which: str, exactly: int | None, pixel_um: float | None) -> Sky:
-    return _drawn(config, which, exactly, pixel_um, 0)
-
-
-def _drawn(config: Config, which: str, exactly: int | None, pixel_um: float | None, number: int) -> Sky:
+def _sky(config: AcfConfig, which: str, exactly: int | None, pixel_um: float | None, number: int) -> NightSky:
     scene = build_scene(config, pixel_um)
     rng = Streams(config.seed).child("acf").generator("sky", number)
     mean = config.sky.stars_per_frame if exactly is None else None
     stars = draw_stars(scene.camera, scene.attitude, rng, mean=mean, exactly=exactly or 0)
-    used, kept = choose_frames(stars, scene, which)
+    used, frames = choose_frames(stars, scene, which)
     design = LinkedDesign.at(scene.camera, scene.attitude, scene.installation, stars.direction, stars.frame)
-    return Sky(scene=scene, stars=stars, used=used, kept=kept, design=design)
+    return NightSky(scene=scene, stars=stars, used=used, frames=frames, design=design)
 
 
-def sky_of(config: Config, point: Point, run: int) -> Sky:
+def sky_of(config: AcfConfig, point: TrialPoint, run: int) -> NightSky:
     """Stars of a run, with the design at the truth."""
-    if point.own_sky:
-        return _drawn(config, point.frames, point.stars, point.pixel_um, run + 1)
-    return _shared_sky(config, point.frames, point.stars, point.pixel_um)
+    number = run + 1 if point.new_sky_each_run else 0
+    return _sky(config, point.frames, point.stars, point.pixel_um, number)
 
 
-def _family(task: Task, sky: Sky, method: Method, gyro: int, rotation: Rotation | None) -> AttitudeFamily:
-    """How a method treats attitudes: ACC starts with phi and theta zero, as in Table 2; the others, and ACC in the
-    sweep, take them from the stars as the start camera sees them."""
+def _family(task: Task, sky: NightSky, method: Method, gyro: int, rotation: Rotation | None) -> AttitudeFamily:
+    """How a method treats attitudes. ACC starts with phi and theta zero, as in Table 2; in the sweep, and with the
+    other methods, start attitudes come from the stars and the start camera."""
     if method == "free":
         return FreeAttitudes()
     if rotation is None:
         return NoAttitude(weighting="none" if method == "iac" else "full")
-    start = {"gyro_rotation": rotation[sky.kept], "installation": Rotation.identity()}
+    start = {"gyro_rotation": rotation[sky.frames], "installation": Rotation.identity()}
     if method == "acc":
-        known = task.config.start.phi_from_stars or task.point.own_sky
-        return AttitudeCorrelated(**start, first_attitude=None if known else Rotation.identity())
+        from_stars = task.config.start.phi_from_stars or task.point.new_sky_each_run
+        return AttitudeCorrelated(**start, first_attitude=None if from_stars else Rotation.identity())
     bias, walk = task.point.gyro[gyro]
     noise = GyroNoise.from_data_sheet(angle_random_walk_deg_per_sqrt_h=walk, bias_deg_per_h=bias)
-    return GyroLinked(**start, time_s=sky.scene.time_s[sky.kept], noise=noise)
+    return GyroLinked(**start, time_s=sky.scene.time_s[sky.frames], noise=noise)
 
 
-def _judged(
-    task: Task, sky: Sky, observed: Observations, method: Method, gyro: int, rotation: Rotation | None
+def _calibration_errors(
+    task: Task, sky: NightSky, observed: Observations, method: Method, gyro: int, rotation: Rotation | None
 ) -> dict[str, Any]:
-    """One calibration, from a camera without distortion, and what it is judged by."""
-    scene, grid = sky.scene, field_of(task.config, task.point.pixel_um)
+    """Errors of a calibration that starts from a camera without distortion."""
+    scene, grid = sky.scene, map_grid(task.config, task.point.pixel_um)
     family = _family(task, sky, method, gyro, rotation)
     fitted = calibrate(observed, start_camera(task.config, scene.camera.geometry), family)
     camera = fitted.model
@@ -191,101 +186,101 @@ def _judged(
     sigma = np.sqrt(np.diag(fitted.covariance))
     result: dict[str, Any] = {
         "converged": fitted.solution.converged,
-        "distortion_px": residual_distortion(scene.camera, camera, grid),
-        "sight_arcsec": line_of_sight_map(camera, grid.direction, grid.pixel_px).rms_arcsec,
+        "residual_distortion_px": residual_distortion(scene.camera, camera, grid),
+        "line_of_sight_arcsec": line_of_sight_map(camera, grid.direction, grid.pixel_px).rms_arcsec,
     }
     if rotation is not None:
         assert fitted.attitude is not None
         assert fitted.installation is not None
-        pairs = ((fitted.attitude[0], scene.attitude[0]), (fitted.installation, scene.installation))
-        error = np.concatenate([error, *(angles_of_rotation(one) - angles_of_rotation(true) for one, true in pairs)])
+        for estimate, truth in ((fitted.attitude[0], scene.attitude[0]), (fitted.installation, scene.installation)):
+            error = np.append(error, angles_of_rotation(estimate) - angles_of_rotation(truth))
         sigma = fitted.solution.sigma[: len(error)]
         if task.point.frames == "odd":
-            away = _reprojected(sky, camera, link_attitudes(fitted.attitude[0], fitted.installation, rotation))
-            result["reprojection_px2"] = (away**2).mean(0)
-            if task.point.keep_reprojections:
-                result["reprojected_px"] = away
+            attitude = link_attitudes(fitted.attitude[0], fitted.installation, rotation)
+            error_px = _reprojection_error_px(sky, camera, attitude)
+            result["reprojection_px2"] = (error_px**2).mean(0)
+            if task.point.keep_reprojection_errors:
+                result["reprojection_error_px"] = error_px
     return result | {"error": error, "sigma": sigma}
 
 
-def _reprojected(sky: Sky, camera: BrownConrady, attitude: Rotation) -> FloatArray:
-    """Noise-free stars of the frames that did not calibrate: predicted minus true position (n, 2)."""
-    frame, direction = (part[~sky.used] for part in (sky.stars.frame, sky.stars.direction))
+def _reprojection_error_px(sky: NightSky, camera: BrownConrady, attitude: Rotation) -> FloatArray:
+    """Predicted minus true position (n, 2) of the stars in the frames that did not calibrate."""
+    frame, direction = sky.stars.frame[~sky.used], sky.stars.direction[~sky.used]
     return np.asarray(camera.project(attitude[frame].apply(direction)) - sky.stars.pixel_px[~sky.used])
 
 
 @dataclass(frozen=True, slots=True)
-class Field:
-    """A grid over the detector, for maps: places, true directions, `mean_square_matrix`."""
+class MapGrid:
+    """A grid over the detector, for maps."""
 
-    pixel_px: FloatArray
-    direction: FloatArray
-    mean_square: FloatArray
+    pixel_px: FloatArray  # (n, 2)
+    direction: FloatArray  # (n, 3) True directions in cam
+    mean_square: FloatArray  # `mean_square_matrix`
 
 
 @lru_cache(maxsize=8)
-def field_of(config: Config, pixel_um: float | None) -> Field:
+def map_grid(config: AcfConfig, pixel_um: float | None) -> MapGrid:
     """The grid of a configuration's camera."""
     camera = build_scene(config, pixel_um).camera
     pixel = camera.geometry.grid_px(GRID)
-    return Field(pixel, camera.unproject(pixel), mean_square_matrix(camera, pixel))
+    return MapGrid(pixel, camera.unproject(pixel), mean_square_matrix(camera, pixel))
 
 
-def residual_distortion(true: BrownConrady, camera: BrownConrady, grid: Field) -> float:
-    """Largest residual distortion over the array [px]: fitted minus true (dx, dy) of eq. 4 at the same ideal places.
+def residual_distortion(true: BrownConrady, camera: BrownConrady, grid: MapGrid) -> float:
+    """Largest residual distortion over the array [px]: fitted minus true (dx, dy) of eq. 4 at the same ideal positions.
 
-    Principal point and focal length are the true ones on both sides; the document says no more than "residual
-    distortion over the whole 1024 x 1024 array".
+    Principal point and focal length are the true ones on both sides; ACF17 says no more than "residual distortion over
+    the whole 1024 x 1024 array".
     """
-    frame = np.array([name in true.pinhole_names for name in true.parameter_names])
-    same = true.with_parameters(np.where(frame, true.parameters, camera.parameters))
-    return float(np.hypot(*(same.project(grid.direction) - grid.pixel_px).T).max())
+    pinhole = np.array([name in true.pinhole_names for name in true.parameter_names])
+    fitted_distortion = true.with_parameters(np.where(pinhole, true.parameters, camera.parameters))
+    return float(np.hypot(*(fitted_distortion.project(grid.direction) - grid.pixel_px).T).max())
 
 
-def gyro_drift(scene: Scene, pair: tuple[float, float]) -> GyroDrift:
-    """Error of a gyro with that bias [deg/h] and angle random walk [deg/sqrt(h)]."""
+def gyro_drift(scene: AcfScene, noise: tuple[float, float]) -> GyroDrift:
+    """Error of a gyro with a bias [deg/h] and an angle random walk [deg/sqrt(h)]."""
     return GyroDrift.of(
         scene.time_s,
         scene.swept,
-        bias_rad_per_s=pair[0] * DEG_RAD / HOUR_S,
-        walk_rad_per_sqrt_s=pair[1] * DEG_RAD / np.sqrt(HOUR_S),
+        bias_rad_per_s=noise[0] * DEG_RAD / HOUR_S,
+        walk_rad_per_sqrt_s=noise[1] * DEG_RAD / np.sqrt(HOUR_S),
     )
 
 
-def _bounds(point: Point, sky: Sky, matrix: FloatArray, rng: np.random.Generator) -> dict[str, FloatArray]:
-    """Predicted sigma of the camera's parameters and, last, of the line of sight [arcsec]; drawn errors of the latter,
-    for free attitudes and for a gyro of stated noise on the same stars."""
-    design = sky.calibrating
+def _bounds(point: TrialPoint, sky: NightSky, matrix: FloatArray, rng: np.random.Generator) -> dict[str, FloatArray]:
+    """Predicted sigma of the camera's parameters and, last, of the line of sight [arcsec]; drawn errors of the line of
+    sight, for free attitudes and for a gyro of stated noise on the same stars."""
+    design, parameters = sky.calibrating, len(sky.scene.camera.parameters)
 
-    def figures(covariance: FloatArray) -> FloatArray:
-        count = len(sky.scene.camera.parameters)
-        return np.append(np.sqrt(np.diag(covariance)[:count]), expected_rms(matrix, covariance))
+    def sigmas(covariance: FloatArray) -> FloatArray:
+        return np.append(np.sqrt(np.diag(covariance)[:parameters]), expected_rms(matrix, covariance))
 
-    alone = free_bound(design, point.noise_px)
-    result = {"bound.free": figures(alone)}
-    for k, pair in enumerate(point.gyro):
-        error = gyro_drift(sky.scene, pair)
-        result[f"bound@{k}.acc"] = figures(correlated_covariance(design, point.noise_px, error))
-        weighted = linked_bound(design, point.noise_px, error)
-        result[f"bound@{k}.linked"] = figures(weighted)
+    free = free_bound(design, point.noise_px)
+    result = {"bound.free": sigmas(free)}
+    for k, noise in enumerate(point.gyro):
+        drift = gyro_drift(sky.scene, noise)
+        result[f"bound@{k}.acc"] = sigmas(correlated_covariance(design, point.noise_px, drift))
+        linked = linked_bound(design, point.noise_px, drift)
+        result[f"bound@{k}.linked"] = sigmas(linked)
         size = len(matrix)
-        drawn = drawn_rms(matrix, weighted[:size, :size], alone, DRAWN, rng)
-        result |= {f"drawn@{k}.{name}": one for name, one in zip(("linked", "free"), drawn, strict=True)}
+        drawn = drawn_rms(matrix, linked[:size, :size], free, DRAWN, rng)
+        result[f"drawn@{k}.linked"], result[f"drawn@{k}.free"] = drawn
     return result
 
 
-def perform(config: Config, points: Sequence[Point], *, advance: Callable[[int], None]) -> dict[str, Trials]:
-    """Make all runs; trials by the name of the point."""
+def run_trials(config: AcfConfig, points: Sequence[TrialPoint], *, advance: Callable[[int], None]) -> dict[str, Trials]:
+    """Trials of all points, by the name of the point."""
     tasks = [
         Task(config=config, point=point, first=first, last=min(first + CHUNK, point.runs))
         for point in points
         for first in range(0, point.runs, CHUNK)
     ]
-    with one_thread():  # the same sums everywhere
-        values = shared(work, tasks, lambda task: advance(task.last - task.first), workers=config.workers)
+    with one_thread():  # sums in the same order on every machine
+        values = shared(run_task, tasks, lambda task: advance(task.last - task.first), workers=config.workers)
     trials = {}
     for point in points:
-        parts = [part for task, part in zip(tasks, values, strict=True) if task.point.name == point.name]
-        whole = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
-        trials[point.name] = Trials(point=point, values=whole)
+        chunks = [chunk for task, chunk in zip(tasks, values, strict=True) if task.point.name == point.name]
+        joined = {key: np.concatenate([chunk[key] for chunk in chunks]) for key in chunks[0]}
+        trials[point.name] = Trials(point=point, values=joined)
     return trials

@@ -86,14 +86,14 @@ def test_filters_are_measured_curves_and_keep_their_nominal_centres():
 
 def test_acf_takes_a_camera_that_images_as_the_lens_does():
     """Chief rays of another trace, at places between those of the fit."""
-    from experiments.acf.settings import Config
+    from experiments.acf.settings import AcfConfig
     from experiments.acf.simulate import build_camera
     from optics.frames import field_direction
     from optics.lens.perturb import refocus
     from optics.lens_file import load_lens
     from optics.rays.chief_ray import chief_ray_points
 
-    model = build_camera(load_config(Config, sensor=EXAMPLE))
+    model = build_camera(load_config(AcfConfig, sensor=EXAMPLE))
     field = np.array([[0.3, 0.2], [3.1, -2.2], [-5.0, 5.0], [6.2, 0.0]])
     x_mm, y_mm = chief_ray_points(refocus(load_lens(EXAMPLE.parent / "lens.toml"), 0.06), *field.T)
     expected = 1023.5 + np.column_stack([x_mm, -y_mm]) / 0.0055

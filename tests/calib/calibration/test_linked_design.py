@@ -9,12 +9,12 @@ from scipy.spatial.transform import Rotation
 from calib.attitude.gyro_attitude import link_attitudes
 from calib.calibration import linked_design
 from calib.calibration.drawn_stars import draw_stars
-from experiments.acf.settings import Config, SweepConfig
+from experiments.acf.settings import AcfConfig, SweepConfig
 from experiments.acf.simulate import build_scene, gyro_rotations
 from optics.units import DEG_RAD
 from render.engine.random import Streams
 
-CONFIG = Config(frames=12, sweep=SweepConfig(stars=(4, 8)))
+CONFIG = AcfConfig(frames=12, sweep=SweepConfig(stars=(4, 8)))
 SIGMA = 0.1
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from experiments.acf import experiment as study
 from experiments.acf import table2 as table2_module
 from experiments.acf import trials as monte_carlo
 from experiments.acf.gain import gain, gains, sweep_points
@@ -17,31 +18,45 @@ from experiments.acf.reprojection import (
     inferred_point,
     matching_stars,
     overall,
+    root_mean_square,
     table2_point,
 )
-from experiments.acf.settings import Config, SkyConfig, SweepConfig
+from experiments.acf.settings import AcfConfig, AcfSkyConfig, SweepConfig, experiment
 from experiments.acf.simulate import build_scene
 from experiments.acf.table2 import (
+    PRINTED,
     ROUNDING,
     TRUE,
     Covariances,
     _fit,
     covariances,
+    degeneracy,
+    implied,
     in_degrees,
     printed_reprojection_px2,
-    sums,
     table2,
 )
-from experiments.acf.trials import COMPARED, Point, Task, Trials, field_of, perform, residual_distortion, sky_of, work
+from experiments.acf.trials import (
+    COMPARED,
+    Task,
+    TrialPoint,
+    Trials,
+    map_grid,
+    residual_distortion,
+    run_task,
+    run_trials,
+    sky_of,
+)
+from experiments.harness.progress import Progress
 
-CONFIG = Config(
+CONFIG = AcfConfig(
     frames=12,
     runs=4,
     noise_px=(0.1, 0.4),
     bias_deg_per_h=(0.1,),
     angle_random_walk_deg_per_sqrt_h=(0.01,),
     counts=(8, 16),
-    sky=SkyConfig(stars_per_frame=12.0),
+    sky=AcfSkyConfig(stars_per_frame=12.0),
     sweep=SweepConfig(stars=(4, 12), gyro_factor=(0.0, 20.0), skies=4),
 )
 SIZE = dict(zip(COMPARED, (1.0, 2.0, 3.0, 5.0, 7.0), strict=True))
@@ -63,67 +78,73 @@ def fig5():
             error = SIGN * size * point.noise_px * np.arange(1.0, 15.0)
             wide = np.array([3.0, 5.0, 3.0, 5.0]) * size * point.noise_px
             values |= runs_of(
-                point, method, 0, error=error, sigma=np.abs(error) / 2.0, distortion_px=wide, sight_arcsec=wide
+                point,
+                method,
+                0,
+                error=error,
+                sigma=np.abs(error) / 2.0,
+                residual_distortion_px=wide,
+                line_of_sight_arcsec=wide,
             )
         trials[point.name] = Trials(point=point, values=values)
     return methods(CONFIG, trials)
 
 
 def test_errors_by_noise(fig5):
-    for name, one in zip(COMPARED, fig5["fig5"], strict=True):
+    for name, errors in zip(COMPARED, fig5["fig5"], strict=True):
         size = SIZE[name] * np.array(CONFIG.noise_px)
-        for k, found in enumerate((one.x0_px, one.y0_px, one.focal_length_mm), 1):
-            assert found == pytest.approx(k * size)
-        assert [row.value for row in one.distortion_px] == pytest.approx(4.0 * size)
-        # two of four differ by one from the mean: standard deviation sqrt(4 / 3), of the mean half of that
-        assert [row.uncertainty for row in one.distortion_px] == pytest.approx(size / np.sqrt(3.0))
-        assert [row.value for row in one.sight_arcsec] == pytest.approx(np.sqrt(17.0) * size)
+        for k, error in enumerate((errors.x0_px, errors.y0_px, errors.focal_length_mm), 1):
+            assert error == pytest.approx(k * size)
+        assert [number.value for number in errors.residual_distortion_px] == pytest.approx(4.0 * size)
+        # values 3, 5, 3, 5: standard deviation sqrt(4 / 3), of the mean half of that
+        assert [number.uncertainty for number in errors.residual_distortion_px] == pytest.approx(size / np.sqrt(3.0))
+        assert [number.value for number in errors.line_of_sight_arcsec] == pytest.approx(np.sqrt(17.0) * size)
 
 
 def test_all_noises_together(fig5):
     acc, linked, free, iac, full = fig5["methods"]
     assert (acc.x0_px, acc.y0_px, acc.f_um) == pytest.approx((1.0, 2.0, 3000.0))
-    assert (free.distortion_px, free.sight_arcsec) == pytest.approx((12.0, 3.0 * np.sqrt(17.0)))
-    assert [one.over_acc for one in (acc, linked, free, iac, full)] == pytest.approx(list(SIZE.values()))
-    should = fig5["fig5"][2].expected_sight_arcsec / CONFIG.noise_px
-    assert np.ptp(should) < 1e-9 * should[0]  # free attitudes: in proportion to the noise
-    assert free.over_expected.value == pytest.approx(3.0 * np.sqrt(17.0) / should[0])
-    assert free.over_expected.uncertainty == pytest.approx(1.0 / np.sqrt(2.0 * 4.0 * 8))
-    assert [one.ratio for one in fig5["ratios"]] == [pytest.approx([r] * 5) for r in (5.0, 7.0 / 3.0, 3.0)]
-    assert (fig5["fig5_all"].fig5_n, fig5["fig5_all"].pull_n) == (4, 8)
+    assert (free.residual_distortion_px, free.line_of_sight_arcsec) == pytest.approx((12.0, 3.0 * np.sqrt(17.0)))
+    assert [method.ratio_to_acc for method in (acc, linked, free, iac, full)] == pytest.approx(list(SIZE.values()))
+    expected = fig5["fig5"][2].expected_line_of_sight_arcsec / CONFIG.noise_px
+    assert np.ptp(expected) < 1e-9 * expected[0]  # free attitudes: in proportion to the noise
+    assert free.ratio_to_expected.value == pytest.approx(3.0 * np.sqrt(17.0) / expected[0])
+    assert free.ratio_to_expected.uncertainty == pytest.approx(1.0 / np.sqrt(2.0 * 4.0 * 8))
+    assert [pair.error_ratio for pair in fig5["ratios"]] == [pytest.approx([r] * 5) for r in (5.0, 7.0 / 3.0, 3.0)]
+    assert (fig5["fig5"][0].n, fig5["pulls"][0].n) == (4, 8)
 
 
 def test_pulls_of_all_unknowns(fig5):
-    expected = [covariances(CONFIG, point) for point in fig5_points(CONFIG)]
-    for k, one in enumerate(fig5["pulls"]):
-        assert (one.own, one.linked.value) == pytest.approx((2.0, 2.0))
-        pulls = [(k + 1) * s / np.sqrt(should.acc[k, k]) for s, should in zip(CONFIG.noise_px, expected, strict=True)]
-        assert one.carried == pytest.approx(np.hypot(*pulls) / np.sqrt(2.0))
-        assert one.linked.uncertainty == pytest.approx(0.25)
+    predicted = [covariances(CONFIG, point) for point in fig5_points(CONFIG)]
+    for k, unknown in enumerate(fig5["pulls"]):
+        assert (unknown.acc, unknown.linked.value) == pytest.approx((2.0, 2.0))
+        pulls = [(k + 1) * s / np.sqrt(p.acc[k, k]) for s, p in zip(CONFIG.noise_px, predicted, strict=True)]
+        assert unknown.acc_with_gyro_error == pytest.approx(np.hypot(*pulls) / np.sqrt(2.0))
+        assert unknown.linked.uncertainty == pytest.approx(0.25)
 
 
 def test_expected_errors(fig5):
     """In proportion to the noise for free attitudes; what the method says itself for interstar angles."""
     iac = fig5["fig5"][COMPARED.index("iac")]
     assert iac.expected_x0_px == pytest.approx(2.5 * np.array(CONFIG.noise_px))
-    assert np.isnan(iac.expected_sight_arcsec).all()
+    assert np.isnan(iac.expected_line_of_sight_arcsec).all()
     for name, noise in zip(("acc", "linked", "free", "iac_full"), (None, None, 4.0, 4.0), strict=True):
-        one = fig5["fig5"][COMPARED.index(name)]
-        rows = (one.expected_x0_px, one.expected_focal_length_mm, one.expected_distortion_px, one.expected_sight_arcsec)
-        for row in rows:
-            assert row[1] > row[0]
+        method = fig5["fig5"][COMPARED.index(name)]
+        for quantity in ("x0_px", "focal_length_mm", "residual_distortion_px", "line_of_sight_arcsec"):
+            expected = getattr(method, f"expected_{quantity}")
+            assert expected[1] > expected[0]
             if noise:
-                assert row[1] / row[0] == pytest.approx(noise)
+                assert expected[1] / expected[0] == pytest.approx(noise)
 
 
 def test_expected_distortion_against_drawn_cameras():
     """400 cameras drawn from a covariance, judged as fitted ones are: two means of 400 agree to 4 standard errors."""
-    camera, grid = build_scene(CONFIG).camera, field_of(CONFIG, None)
+    camera, grid = build_scene(CONFIG).camera, map_grid(CONFIG, None)
     sigma = 1e-3 * camera.parameter_scales
     drawn = np.random.default_rng(3).standard_normal((400, 8)) * sigma
-    seen = [residual_distortion(camera, camera.with_parameters(camera.parameters + d), grid) for d in drawn]
+    largest = [residual_distortion(camera, camera.with_parameters(camera.parameters + d), grid) for d in drawn]
     (expected,) = largest_distortion(CONFIG, [np.diag(sigma**2)])
-    assert expected == pytest.approx(np.mean(seen), abs=4.0 * np.std(seen) * np.sqrt(2.0 / 400))
+    assert expected == pytest.approx(np.mean(largest), abs=4.0 * np.std(largest) * np.sqrt(2.0 / 400))
 
 
 def test_a_gain_that_every_sky_has_is_certain():
@@ -140,13 +161,20 @@ def test_gains_by_hand():
     """Three skies: medians 8 and 2; a run that did not converge counts as infinitely wrong."""
     trials = {}
     for n, point in enumerate(sweep_points(CONFIG), 1):
-        values = runs_of(point, "free", None, sight_arcsec=[4, 8, 16], converged=[1, 1, 1], error=np.full((3, 8), 3.0))
+        values = runs_of(
+            point, "free", None, line_of_sight_arcsec=[4, 8, 16], converged=[1, 1, 1], error=np.full((3, 8), 3.0)
+        )
         values["bound.free"] = np.full((3, 9), 6.0) * np.array([[1.0], [2.0], [3.0]])
         for k in range(2):
             for method in ("acc", "linked"):
                 # the smallest error is of a run that failed: the median of 2, 4 and infinity
                 values |= runs_of(
-                    point, method, k, sight_arcsec=[0.1, 2.0 * n, n], converged=[0, 1, 1], error=np.full((3, 8), 1.0)
+                    point,
+                    method,
+                    k,
+                    line_of_sight_arcsec=[0.1, 2.0 * n, n],
+                    converged=[0, 1, 1],
+                    error=np.full((3, 8), 1.0),
                 )
                 values[f"bound@{k}.{method}"] = np.full((3, 9), 2.0 + 2.0 * k)
             # medians 6 and 3, then 6 and 1.5: logarithms log 2 and log 4
@@ -154,15 +182,15 @@ def test_gains_by_hand():
             values[f"drawn@{k}.linked"] = np.array([[3.0, 1.0], [2.0, 1.5], [9.0, 4.0]])
         trials[point.name] = Trials(point=point, values=values)
     few, many = gains(CONFIG, trials)
-    assert (few.stars, many.stars) == (4, 12)
+    assert (few.stars_per_frame, many.stars_per_frame) == (4, 12)
     assert [one.value for one in few.acc + few.linked] == pytest.approx([4.0] * 4)
     assert [one.value for one in many.acc] == pytest.approx([2.0] * 2)
     assert few.acc_bound == pytest.approx([6.0, 3.0])
     assert few.linked_bound == pytest.approx([6.0, 3.0])
     assert few.acc[0].uncertainty > 0.0
     spread = np.log(2.0) / np.sqrt(2.0)
-    assert few.linked_z == pytest.approx([0.5 * np.log(2.0) / spread] * 2)
-    assert few.linked_whole == pytest.approx([1.0 / spread] * 2)
+    assert few.linked_deviation_sigma == pytest.approx([0.5 * np.log(2.0) / spread] * 2)
+    assert few.linked_full_deviation_sigma == pytest.approx([1.0 / spread] * 2)
 
 
 @pytest.fixture(scope="module")
@@ -173,13 +201,13 @@ def reprojected():
     for point in (*fig3_points(CONFIG), *counts_points(CONFIG), table2_point(CONFIG), inferred):
         values = {}
         for k in range(len(point.gyro)):
-            (should,) = expected_at(CONFIG, point, k)
-            length = wide * should.mean_px
+            (expected,) = expected_at(CONFIG, point, k)
+            length = wide * expected.mean_px
             values |= runs_of(point, "acc", k, reprojection_px2=np.outer(length**2, [0.36, 0.64]))
-            if point.keep_reprojections:
+            if point.keep_reprojection_errors:
                 values |= runs_of(
-                    point, "acc", k, reprojected_px=np.tile([[[0.03, 0.04], [0.0, 0.01]]], (4, 1, 1)),
-                    error=SIGN * np.arange(1.0, 15.0) * 1e-4, sight_arcsec=[3.0, 5.0, 3.0, 5.0],
+                    point, "acc", k, reprojection_error_px=np.tile([[[0.03, 0.04], [0.0, 0.01]]], (4, 1, 1)),
+                    error=SIGN * np.arange(1.0, 15.0) * 1e-4, line_of_sight_arcsec=[3.0, 5.0, 3.0, 5.0],
                 )  # fmt: skip
         trials[point.name] = Trials(point=point, values=values)
     return trials, inferred
@@ -187,54 +215,57 @@ def reprojected():
 
 def test_reprojection_over_its_prediction(reprojected):
     trials, inferred = reprojected
-    found = overall(CONFIG, trials).reprojection_ratio
-    assert (found.value, found.n) == (pytest.approx(1.1), 16)
+    ratio = overall(CONFIG, trials).ratio_to_expected
+    assert (ratio.value, ratio.n) == (pytest.approx(1.1), 16)
     # four points of four runs; standard deviation of a run 1.1 sqrt(0.08 / 3)
-    assert found.uncertainty == pytest.approx(1.1 * np.sqrt(0.08 / 3.0) / 4.0)
+    assert ratio.uncertainty == pytest.approx(1.1 * np.sqrt(0.08 / 3.0) / 4.0)
     by_bias, by_walk = fig3(CONFIG, trials)
-    for part in (by_bias, by_walk):
-        measured = np.array([[one.value for one in row] for row in part.rms_px])
-        np.testing.assert_allclose(measured, 1.1 * part.expected_px, rtol=1e-9)
-        assert (part.expected_px[:, 1] > part.expected_px[:, 0]).all()
-        assert part.expected_px[1, 0] / part.expected_px[0, 0] == pytest.approx(4.0)  # perfect gyro
+    for panel in (by_bias, by_walk):
+        measured = np.array([[number.value for number in row] for row in panel.rms_px])
+        np.testing.assert_allclose(measured, 1.1 * panel.expected_px, rtol=1e-9)
+        assert (panel.expected_px[:, 1] > panel.expected_px[:, 0]).all()
+        assert panel.expected_px[1, 0] / panel.expected_px[0, 0] == pytest.approx(4.0)  # perfect gyro
     assert np.array_equal(by_bias.expected_px[:, 0], by_walk.expected_px[:, 0])
-    few, many = counts(CONFIG, trials)
-    assert (few.stars, many.stars) == (8, 16)
-    assert [one.value for one in few.rms_px] == pytest.approx(1.1 * few.expected_px)
-    assert few.expected_px[0] / many.expected_px[0] == pytest.approx(np.sqrt(2.0), rel=0.15)  # sigma sqrt(14 / n)
+    eight, sixteen = counts(CONFIG, trials)
+    assert (eight.stars_per_frame, sixteen.stars_per_frame) == (8, 16)
+    assert [number.value for number in eight.rms_px] == pytest.approx(1.1 * eight.expected_px)
+    assert eight.expected_px[0] / sixteen.expected_px[0] == pytest.approx(np.sqrt(2.0), rel=0.15)  # sigma sqrt(14 / n)
     assumed, other = fig4(CONFIG, trials, inferred)
-    rms = 1.1 * np.sqrt(1.02) * assumed.expected_px.value
-    assert [one.value for one in assumed.rms_px] == pytest.approx([0.6 * rms, 0.8 * rms])
-    assert np.hypot(*assumed.expected_axis_px) == pytest.approx(assumed.expected_px.value, rel=0.02)
-    assert (assumed.largest_px, assumed.inside) == (pytest.approx(0.05), 0.5)
-    assert (assumed.pixel_um, other.pixel_um, other.stars) == (CONFIG.camera.pixel_pitch_um, 6.0, 20)
-    assert assumed.stars == pytest.approx(len(sky_of(CONFIG, table2_point(CONFIG), 0).stars.frame) / 12)
+    rms = 1.1 * np.sqrt(1.02) * assumed.expected_rms_length_px.value
+    assert [number.value for number in assumed.rms_px] == pytest.approx([0.6 * rms, 0.8 * rms])
+    assert np.hypot(*assumed.expected_rms_px) == pytest.approx(assumed.expected_rms_length_px.value, rel=0.02)
+    assert (assumed.largest_px, assumed.fraction_below_0_04_px) == (pytest.approx(0.05), 0.5)
+    assert (assumed.pixel_um, other.pixel_um, other.stars_per_frame) == (CONFIG.camera.pixel_pitch_um, 6.0, 20)
+    assert assumed.stars_per_frame == pytest.approx(len(sky_of(CONFIG, table2_point(CONFIG), 0).stars.frame) / 12)
     published = np.hypot(0.0132, 0.0123)
-    assert assumed.published_length_px == pytest.approx(published)
-    sigma = assumed.expected_px.uncertainty
-    assert assumed.published_deviation == pytest.approx((published - assumed.expected_px.value) / sigma)
+    assert assumed.published_rms_length_px == pytest.approx(published)
+    expected = assumed.expected_rms_length_px
+    assert assumed.published_deviation_sigma == pytest.approx((published - expected.value) / expected.uncertainty)
 
 
 def test_stars_that_give_the_published_error():
-    """At the number found, the expectation is the published one; without the gyro's part it is sigma sqrt(14 / n)."""
-    found = matching_stars(CONFIG, 10.0, stars=40)
+    """The expectation at the result is the published RMS; without the gyro's part it is sigma sqrt(14 / n)."""
+    result = matching_stars(CONFIG, 10.0, stars=40)
     published = np.hypot(0.0132, 0.0123)
-    assert found.closed_form == pytest.approx(14.0 * (CONFIG.table_noise_px / published) ** 2 / 6.0)
-    assert found.range[0] <= found.with_gyro <= found.range[1]
+    assert result.stars_per_frame_perfect_gyro == pytest.approx(14.0 * (CONFIG.table_noise_px / published) ** 2 / 6.0)
+    assert result.stars_per_frame_range[0] <= result.stars_per_frame <= result.stars_per_frame_range[1]
     at_40, at_10 = (
-        expected_at(CONFIG, Point(name="", runs=0, noise_px=0.1 * s, gyro=((0.03, 0.005),), methods=(), stars=40), 0)[0]
+        expected_at(
+            CONFIG, TrialPoint(name="", runs=0, noise_px=0.1 * s, gyro=((0.03, 0.005),), methods=(), stars=40), 0
+        )[0]
         for s in (1.0, 2.0)
     )
     gyro2 = (4.0 * at_40.total_px**2 - at_10.total_px**2) / 3.0  # a quarter of the stars: twice the noise
-    assert found.gyro_px == pytest.approx(np.sqrt(gyro2), rel=1e-6)
-    assert 40.0 / found.with_gyro * (at_40.total_px**2 - gyro2) + gyro2 == pytest.approx(published**2, rel=1e-6)
+    assert result.gyro_rms_px == pytest.approx(np.sqrt(gyro2), rel=1e-6)
+    star2 = 40.0 / result.stars_per_frame * (at_40.total_px**2 - gyro2)
+    assert star2 + gyro2 == pytest.approx(published**2, rel=1e-6)
 
 
 def test_table_2(reprojected):
     trials, _ = reprojected
-    scene = build_scene(Config())
+    scene = build_scene(AcfConfig())
     np.testing.assert_allclose(scene.camera.parameters, TRUE[:8])
-    assert (*Config().sky.phi_deg, *Config().gyro.installation_deg) == tuple(TRUE[8:])
+    assert (*AcfConfig().sky.phi_deg, *AcfConfig().gyro.installation_deg) == tuple(TRUE[8:])
     perfect = np.outer(np.arange(1.0, 15.0), np.arange(1.0, 15.0)) * (0.5 + 0.5 * np.eye(14))
     every = Covariances(perfect=perfect, acc=4.0 * perfect, linked=perfect, free=perfect[:8, :8])
     rows = table2(CONFIG, trials, every)
@@ -246,9 +277,9 @@ def test_table_2(reprojected):
         assert (row.bound, row.bound_with_gyro_error) == pytest.approx(((k + 1) * degrees[k], 2 * (k + 1) * degrees[k]))
     assert [row.published_error for row in rows[:3]] == pytest.approx([-0.19, -0.51, 0.0002], rel=1e-6)
     assert in_degrees(np.full((2, 14), np.pi))[1, 7:9] == pytest.approx([np.pi, 180.0])
-    all_together = sums(CONFIG, trials, every)
-    assert all_together.correlation == pytest.approx([0.5, 0.5, 0.5])
-    assert all_together.sight_arcsec == pytest.approx(np.sqrt(17.0))
+    joint = degeneracy(CONFIG, trials, every)
+    assert joint.radial_correlation == pytest.approx([0.5, 0.5, 0.5])
+    assert joint.line_of_sight_arcsec == pytest.approx(np.sqrt(17.0))
 
 
 def test_printed_numbers_on_the_detector():
@@ -270,26 +301,32 @@ def test_printed_numbers_on_the_detector():
     assert 0.0 < fine[0, 0] < 12.0
 
 
-def test_what_a_run_is_judged_by(monkeypatch):
-    """Noise of 1e-6 px: every method finds camera, attitudes and reprojection; tasks are put together by point."""
-    point = Point(
-        name="exact", runs=26, noise_px=1e-6, gyro=((0.0, 0.0),), methods=("acc",), stars=6, keep_reprojections=True
+def test_errors_of_a_run(monkeypatch):
+    """Noise of 1e-6 px: every method recovers camera, attitudes and reprojection; tasks are joined by point."""
+    point = TrialPoint(
+        name="exact",
+        runs=26,
+        noise_px=1e-6,
+        gyro=((0.0, 0.0),),
+        methods=("acc",),
+        stars=6,
+        keep_reprojection_errors=True,
     )
-    others = Point(name="all", runs=1, noise_px=1e-6, gyro=((0.0, 0.0),), methods=COMPARED, frames="all", stars=6)
-    whole = work(Task(config=CONFIG, point=point, first=0, last=2))
-    away, square = whole["acc@0.reprojected_px"], whole["acc@0.reprojection_px2"]
-    assert 0.0 < np.abs(away).max() < 1e-5
-    assert square == pytest.approx(np.array([np.diag(one.T @ one) / len(one) for one in away]))
-    every = work(Task(config=CONFIG, point=others, first=0, last=1))
+    others = TrialPoint(name="all", runs=1, noise_px=1e-6, gyro=((0.0, 0.0),), methods=COMPARED, frames="all", stars=6)
+    two_runs = run_task(Task(config=CONFIG, point=point, first=0, last=2))
+    error_px, square = two_runs["acc@0.reprojection_error_px"], two_runs["acc@0.reprojection_px2"]
+    assert 0.0 < np.abs(error_px).max() < 1e-5
+    assert square == pytest.approx(np.array([np.diag(run.T @ run) / len(run) for run in error_px]))
+    every = run_task(Task(config=CONFIG, point=others, first=0, last=1))
     for name in ("acc@0", "linked@0", "free", "iac", "iac_full"):
         assert every[f"{name}.converged"] == [1.0]
-        assert every[f"{name}.distortion_px"][0] < 1e-4
-        assert every[f"{name}.sight_arcsec"][0] < 1e-3
+        assert every[f"{name}.residual_distortion_px"][0] < 1e-4
+        assert every[f"{name}.line_of_sight_arcsec"][0] < 1e-3
         assert (np.abs(every[f"{name}.error"]) < 6.0 * every[f"{name}.sigma"]).all()
     assert every["free.sigma"].shape == (1, 8)
     tasks = []
 
-    def counted(work, tasks_made, advance, *, workers):
+    def counted(run_task, tasks_made, advance, *, workers):
         tasks.extend((one.point.name, one.first, one.last) for one in tasks_made)
         for task in tasks_made:
             advance(task)
@@ -297,18 +334,16 @@ def test_what_a_run_is_judged_by(monkeypatch):
 
     monkeypatch.setattr(monte_carlo, "shared", counted)
     done = []
-    trials = perform(CONFIG, [point, others], advance=done.append)
+    trials = run_trials(CONFIG, [point, others], advance=done.append)
     assert tasks == [("exact", 0, 25), ("exact", 25, 26), ("all", 0, 1)]
     assert done == [25, 1, 1]
     assert np.array_equal(trials["exact"].values["run"], np.arange(26))
 
 
-def test_stars_of_the_design_stand_evenly_over_the_detector(monkeypatch):
-    """Eleven by eleven middles of equal cells, in every second frame of the night."""
-    seen = {}
-    monkeypatch.setattr(table2_module.LinkedDesign, "at", lambda *given: seen.update(given=given))
-    table2_module._even_design(CONFIG, 8.0)
-    camera, attitude, _, direction, frame = seen["given"]
+def test_stars_of_the_scaled_design_are_a_regular_grid(monkeypatch):
+    """Eleven by eleven centres of equal cells, in every second frame of the night."""
+    monkeypatch.setattr(table2_module.LinkedDesign, "at", lambda *arguments: arguments)
+    camera, attitude, _, direction, frame = table2_module._even_design(CONFIG, 8.0)
     assert np.unique(frame).tolist() == [0, 2, 4, 6, 8, 10]
     first = camera.project(attitude[0].apply(direction[frame == 0]))
     size = np.array([camera.geometry.width_px, camera.geometry.height_px])
@@ -317,3 +352,96 @@ def test_stars_of_the_design_stand_evenly_over_the_detector(monkeypatch):
         assert count.tolist() == [11] * 11
         assert np.diff(columns) == pytest.approx(np.full(10, size[axis] / 11))
     assert first.mean(0) == pytest.approx((size - 1) / 2.0)
+
+
+@pytest.fixture(scope="module")
+def from_table2():
+    return implied(points=11)
+
+
+@pytest.fixture(scope="module")
+def outcome(from_table2):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(study, "implied", lambda: from_table2)
+        return experiment.outcome(CONFIG, study.run(CONFIG, progress=Progress()))
+
+
+@pytest.mark.slow
+def test_nothing_fails_to_converge_from_the_poor_start(outcome):
+    assert outcome.values("failed.n", method="acc") == 4 * (2 * 3 + 2 + 2 * 2 + 1 + 2)  # by hand
+    assert outcome.values("failed.failed").sum() == 0
+
+
+def test_runs_do_not_depend_on_how_they_are_cut_into_tasks():
+    point = TrialPoint(
+        name="cut", runs=3, noise_px=0.2, gyro=((0.03, 0.005),), methods=("acc", "free"), new_sky_each_run=True, stars=8
+    )
+    together = run_task(Task(config=CONFIG, point=point, first=0, last=3))
+    first, rest = (run_task(Task(config=CONFIG, point=point, first=a, last=b)) for a, b in ((0, 1), (1, 3)))
+    assert set(together) == set(first)
+    for key, values in together.items():
+        assert np.array_equal(values, np.concatenate([first[key], rest[key]])), key
+
+
+@pytest.mark.slow
+def test_the_printed_table_implies_the_pixel(from_table2):
+    """Where the printed errors of y0 [px] and phi1 [arcsec] cancel: 26.64 arcsec x 25.6 mm / 0.51 px = 6.48 um."""
+    pixel = from_table2.pixel_um
+    assert np.deg2rad(26.64 / 3600) * 25.6 / 0.51 * 1e3 == pytest.approx(pixel.value, abs=3 * pixel.uncertainty)
+    assert pixel.uncertainty < 0.4
+    assert from_table2.chi2 < 30.0 < from_table2.chi2_at_assumed_pixel
+    assert from_table2.stars_per_frame_range[0] < from_table2.stars < from_table2.stars_per_frame_range[1]
+
+
+@pytest.mark.slow
+def test_pixel_and_stars_of_simulated_tables_are_recovered():
+    """Eight runs with 8 um pixels and 20 stars per frame, printed with ACF17's digits.
+
+    Pulls of the pixel: mean within 4 / sqrt(8); their RMS within a factor of two. The true number of stars lies in the
+    68 % range of most of them, and chi^2 of 11 averages to 11 within 4 sqrt(22 / 8).
+    """
+    point = TrialPoint(
+        name="again", runs=8, noise_px=0.1, gyro=((0.03, 0.005),), methods=("acc",), stars=20, pixel_um=8.0
+    )
+    runs = run_task(Task(config=AcfConfig(), point=point, first=0, last=8))["acc@0.error"]
+    runs[:, 8:] = np.degrees(runs[:, 8:])
+    pulls, inside_range, chi2 = [], [], []
+    for error in runs:
+        result = implied(points=11, printed=np.round((TRUE + error) / ROUNDING) * ROUNDING)
+        pulls.append((result.pixel_um.value - 8.0) / result.pixel_um.uncertainty)
+        inside_range.append(result.stars_per_frame_range[0] < 20 < result.stars_per_frame_range[1])
+        chi2.append(result.chi2)
+    assert abs(np.mean(pulls)) < 4 / np.sqrt(8)
+    assert 0.5 < np.sqrt(np.mean(np.square(pulls))) < 2.0
+    assert sum(inside_range) >= 3
+    assert np.mean(chi2) == pytest.approx(11, abs=4 * np.sqrt(22 / 8))
+
+
+def test_defaults_are_the_published_run():
+    config = AcfConfig()
+    camera, gyro = config.camera, config.gyro
+    assert (config.frames, config.frame_rate_hz, config.runs) == (60, 1.0, 100)
+    assert (camera.focal_length_mm, camera.x0_px, camera.y0_px) == (25.6, 10.0, -10.0)
+    assert config.noise_px == pytest.approx(np.arange(1, 11) * 0.05)
+    assert (gyro.rate_hz, gyro.angular_speed_deg_per_s, gyro.bias_deg_per_h) == (100.0, 0.5, 0.03)
+    assert gyro.angle_random_walk_deg_per_sqrt_h == 0.005
+    assert config.start.focal_length_mm == 20.0
+    error = np.abs(PRINTED - TRUE)
+    assert 3600 * error[8:] == pytest.approx([26.64, 13.68, 3.6, 6.84, 18.0, 0.36], abs=0.01)  # as printed
+    assert error[:4] == pytest.approx([0.19, 0.51, 2e-4, 4e-6], rel=1e-6)
+
+
+@pytest.mark.slow
+def test_workers_change_no_number(outcome, from_table2, monkeypatch):
+    """The same bits from one process as from two."""
+    monkeypatch.setattr(study, "implied", lambda: from_table2)
+    config = CONFIG.model_copy(update={"workers": 2})
+    assert outcome.data.identical(experiment.outcome(config, study.run(config, progress=Progress())).data)
+
+
+def test_error_of_a_root_mean_square():
+    """Of n normal numbers of size s: s within s / sqrt(2 n), which the estimate of that gives to some percent."""
+    n, size = 20000, 3.0
+    rms, error = root_mean_square((size * np.random.default_rng(7).standard_normal((n, 2))) ** 2, 0)
+    assert rms == pytest.approx([size, size], abs=4 * size / np.sqrt(2 * n))
+    assert error == pytest.approx([size / np.sqrt(2 * n)] * 2, rel=0.05)
