@@ -1,9 +1,9 @@
 """Calibrations of one camera from one set of stars, compared with the traced lens; contributions to the error.
 
 The same stars, frames and weights are calibrated repeatedly, with one more error switched on each time
-(`experiments.skycal.positions`): ``reference`` leaves the misfit of the camera model, ``light`` adds the star colours,
-``own`` noise and pixels, ``measured`` the PSF of one colour. Each part is the difference of successive maps, so that
-they add up as vectors; their squares add up only if they are independent.
+(`experiments.skycal.positions`): ``reference`` has only the misfit of the camera model, ``light`` adds the star
+colours, ``star_psf`` noise and pixels, ``measured`` the PSF of one colour. Each part is the difference of successive
+maps, so that they add up as vectors; their squares add up only if they are independent.
 """
 
 from __future__ import annotations
@@ -29,25 +29,26 @@ from calib.fitting.excess_error import excess_sigma
 from experiments.skycal.match import Matched
 from experiments.skycal.measure import Recording
 from experiments.skycal.positions import STEPS, Chart, positions, trace_chart
-from experiments.skycal.scene import Scene
-from experiments.skycal.settings import Config, parse_model_name
+from experiments.skycal.scene import CameraScene
+from experiments.skycal.settings import SkycalConfig, parse_model_name
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
 METHODS = ("free", "acc", "linked", "acc_true")
 """Attitudes free; linked by the gyro taken as perfect; by the gyro of stated noise; by a truly perfect gyro."""
 LOSS = "tukey"
-"""Of the robust fits: a real sky has blends that no flag tells."""
-ROBUST = frozenset({"light", "own", "measured", "corrected"})
-"""Kinds of positions that get the robust loss: the colour of a very red star is an outlier, with and without noise."""
+"""Loss of the robust fits: a real sky has blends without a flag."""
+ROBUST = frozenset({"light", "star_psf", "measured", "corrected"})
+"""Kinds of positions with the robust loss: the colour of a very red star is an outlier, with and without noise."""
 PARTS = ("mismatch", "chromatic", "noise", "psf")
 """What each step adds: camera model, star colours, noise and pixels, PSF of one colour."""
 LEAST_SURPLUS = 40
+"""Stars beyond two per frame that a calibration needs."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibratedMap:
-    """A calibration and the truth."""
+    """A calibration compared with the traced lens."""
 
     data: str  # Kind of positions that was calibrated
     calibration: Calibration  # Camera, covariance, status
@@ -69,8 +70,8 @@ def rms(error: FloatArray) -> float:
     return float(np.sqrt(np.nanmean((error**2).sum(axis=1))))
 
 
-def start_camera(scene: Scene, config: Config, name: str) -> tuple[CameraModel, tuple[str, ...] | None]:
-    """Poor start of a camera model, and the names of the parameters that are free (None: all)."""
+def start_camera(scene: CameraScene, config: SkycalConfig, name: str) -> tuple[CameraModel, tuple[str, ...] | None]:
+    """Start of a camera model (a wrong focal length, no distortion), and its free parameters (None: all)."""
     family, degree = parse_model_name(name)
     focal_length_mm = scene.instrument.focal_length_mm * config.start.focal_ratio
     geometry = scene.geometry
@@ -82,18 +83,18 @@ def start_camera(scene: Scene, config: Config, name: str) -> tuple[CameraModel, 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Calibrator:
-    """Common data of all calibrations of one camera."""
+    """Common data of all calibrations of a camera."""
 
-    scene: Scene
+    scene: CameraScene
     matched: Matched
-    config: Config
+    config: SkycalConfig
     chart: Chart
     used: NDArray[np.bool_]  # (n,) Matched stars that take part
     position_px: Mapping[str, FloatArray]  # (n, 2) Positions of the matched stars, by kind
     floor_px: float = 0.0  # Error per axis that is added to the noise of every star
 
     def observations(self, data: str) -> Observations:
-        """The stars with the positions of one kind; the weights are always the measurement's."""
+        """The stars with positions of a kind; the weights are those of the measured centroids for every kind."""
         matched, used = self.matched, self.used
         return Observations(
             pixel_px=self.position_px[data][used],
@@ -105,7 +106,7 @@ class Calibrator:
         )
 
     def calibrate(self, data: str, *, model: str, method: str = "free") -> CalibratedMap:
-        """One calibration, from poor start values."""
+        """Calibration from `start_camera`."""
         start, free = start_camera(self.scene, self.config, model)
         stars, loss = self.observations(data), LOSS if data in ROBUST else "linear"
         scene, gyro = self.scene, self.config.gyro
@@ -117,17 +118,16 @@ class Calibrator:
             )
             family = GyroLinked(gyro_rotation=scene.gyro_rotation, time_s=scene.time_s, noise=noise)
         elif method != "free":
-            turn = scene.true_gyro_rotation if method == "acc_true" else scene.gyro_rotation
-            family = AttitudeCorrelated(gyro_rotation=turn)
-        made = calibrate(stars, start, family, loss=loss, free=free)
-        return self.compare(made, data)
+            rotation = scene.true_gyro_rotation if method == "acc_true" else scene.gyro_rotation
+            family = AttitudeCorrelated(gyro_rotation=rotation)
+        return self.compare(calibrate(stars, start, family, loss=loss, free=free), data)
 
-    def compare(self, made: Calibration, data: str) -> CalibratedMap:
+    def compare(self, calibration: Calibration, data: str) -> CalibratedMap:
         """Map error of a calibration, with its prediction."""
-        chart = self.chart
         # scipy's rotations cannot take write-locked arrays
-        found = line_of_sight_map(made.model, np.array(chart.direction), chart.pixel_px, covariance=made.covariance)
-        return CalibratedMap(data=data, calibration=made, map=found)
+        direction, pixel_px = np.array(self.chart.direction), self.chart.pixel_px
+        line_of_sight = line_of_sight_map(calibration.model, direction, pixel_px, covariance=calibration.covariance)
+        return CalibratedMap(data=data, calibration=calibration, map=line_of_sight)
 
     def direct(self, model: str) -> CalibratedMap:
         """Best fit of the camera model: fitted to the chart itself."""
@@ -138,19 +138,18 @@ class Calibrator:
             frame=np.zeros(len(self.chart.pixel_px), np.int64),
             sigma_px=1.0,
         )
-        made = calibrate(grid, start, FreeAttitudes(), free=free)
-        return self.compare(made, "chart")
+        return self.compare(calibrate(grid, start, FreeAttitudes(), free=free), "chart")
 
     def residuals(self, fitted: CalibratedMap) -> FloatArray:
-        """Position minus what the calibration predicts (k, 2) [px] of the used stars."""
-        stars, made = self.observations(fitted.data), fitted.calibration
-        assert made.attitude is not None
+        """Measured minus predicted position (k, 2) [px] of the used stars."""
+        stars, calibration = self.observations(fitted.data), fitted.calibration
+        assert calibration.attitude is not None
         # scipy's rotations cannot take write-locked arrays
-        seen = made.attitude[stars.frame].apply(np.array(stars.direction))
-        return np.asarray(stars.pixel_px - made.model.project(seen))
+        in_cam = calibration.attitude[stars.frame].apply(np.array(stars.direction))
+        return np.asarray(stars.pixel_px - calibration.model.project(in_cam))
 
     def find_floor_px(self, data: str, model: str) -> float:
-        """Error per axis beyond the centroids' own noise that the residuals of a fit without it show."""
+        """Error per axis beyond the stated noise of the centroids, from the residuals of a fit without it."""
         fitted = self.calibrate(data, model=model)
         residual = self.residuals(fitted)
         variance = np.trace(self.observations(data).covariance_px2, axis1=1, axis2=2) / 2.0
@@ -160,59 +159,59 @@ class Calibrator:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibratedCamera:
-    """All calibrations of one camera, and their input."""
+    """All calibrations of a camera, and their input."""
 
-    scene: Scene
+    scene: CameraScene
     recording: Recording
     matched: Matched
     chart: Chart
     position_px: dict[str, FloatArray]  # (n, 2) Positions of all matched stars by kind
-    used: NDArray[np.bool_]  # (n,) Matched stars that are calibrated with
-    # Error per axis added to the noise of every centroid: "measured" for all steps, and "corrected"
+    used: NDArray[np.bool_]  # (n,) Matched stars that calibrate
+    # Error per axis added to the noise of every centroid: "measured" for all `STEPS`, and "corrected"
     floor_px: dict[str, float]
-    # By (method, model, kind of positions); all `STEPS` for the configured model. All have the same weights but those
-    # of ``corrected``
+    # By (method, model, kind of positions); all `STEPS` for the configured model, with the weights of "measured"
     maps: dict[tuple[str, str, str], CalibratedMap]
     clean: CalibratedMap  # ``reference`` with the weights of ``corrected``
     direct: dict[str, CalibratedMap]  # Each model fitted to the chart itself: no stars, no noise
     residual_px: FloatArray  # (k, 2) Residuals of the used stars, measured centroids, free attitudes
 
     def of(self, data: str, *, method: str = "free", model: str | None = None) -> CalibratedMap:
-        """A calibration; the configured model if none is named."""
+        """A calibration, by default of the configured model."""
         return self.maps[method, model or self.scene.config.model, data]
 
     @property
     def part_arcsec(self) -> dict[str, FloatArray]:
-        """Each part of the error (n, 2): a map minus the one before."""
-        runs = [self.of(data).error_arcsec for data in STEPS]
-        return dict(zip(PARTS, [runs[0], *(late - early for early, late in pairwise(runs))], strict=True))
+        """Each part of the error (n, 2): differences of the maps of successive `STEPS`."""
+        errors = [self.of(data).error_arcsec for data in STEPS]
+        return dict(zip(PARTS, [errors[0], *(later - earlier for earlier, later in pairwise(errors))], strict=True))
 
 
 def calibrate_camera(
-    scene: Scene, recording: Recording, matched: Matched, config: Config, *, advance: Callable[[], None]
+    scene: CameraScene, recording: Recording, matched: Matched, config: SkycalConfig, *, advance: Callable[[], None]
 ) -> CalibratedCamera:
     """Calibrate, switch the errors on one by one, and compare with the traced lens."""
     _check_count(scene, config, matched, np.asarray(np.isfinite(matched.in_cam).all(axis=1)))
     chart = trace_chart(scene, config)
     position = positions(scene, recording, matched, config)
-    used = np.all([np.isfinite(place).all(axis=1) for place in position.values()], axis=0)
+    used = np.all([np.isfinite(position_px).all(axis=1) for position_px in position.values()], axis=0)
     _check_count(scene, config, matched, used)
     advance()
     plain = Calibrator(scene=scene, matched=matched, config=config, chart=chart, used=used, position_px=position)
     name = scene.config.model
-    whole = replace(plain, floor_px=plain.find_floor_px("measured", name))
-    fine = replace(plain, floor_px=plain.find_floor_px("corrected", name))
+    measured, corrected = (
+        replace(plain, floor_px=plain.find_floor_px(data, name)) for data in ("measured", "corrected")
+    )
     maps: dict[tuple[str, str, str], CalibratedMap] = {}
     direct = {}
     for model in scene.config.models:
         for data in STEPS if model == name else ("reference", "measured"):
-            maps["free", model, data] = whole.calibrate(data, model=model)
-        maps["free", model, "corrected"] = fine.calibrate("corrected", model=model)
+            maps["free", model, data] = measured.calibrate(data, model=model)
+        maps["free", model, "corrected"] = corrected.calibrate("corrected", model=model)
         direct[model] = plain.direct(model)
         advance()
     for method in METHODS[1:]:
-        maps[method, name, "measured"] = whole.calibrate("measured", model=name, method=method)
-        maps[method, name, "corrected"] = fine.calibrate("corrected", model=name, method=method)
+        maps[method, name, "measured"] = measured.calibrate("measured", model=name, method=method)
+        maps[method, name, "corrected"] = corrected.calibrate("corrected", model=name, method=method)
     advance()
     return CalibratedCamera(
         scene=scene,
@@ -221,16 +220,16 @@ def calibrate_camera(
         chart=chart,
         position_px=position,
         used=used,
-        floor_px={"measured": whole.floor_px, "corrected": fine.floor_px},
+        floor_px={"measured": measured.floor_px, "corrected": corrected.floor_px},
         maps=maps,
-        clean=fine.calibrate("reference", model=name),
+        clean=corrected.calibrate("reference", model=name),
         direct=direct,
-        residual_px=whole.residuals(maps["free", name, "measured"]),
+        residual_px=measured.residuals(maps["free", name, "measured"]),
     )
 
 
-def _check_count(scene: Scene, config: Config, matched: Matched, used: NDArray[np.bool_]) -> None:
-    """Refuse to calibrate with next to nothing."""
+def _check_count(scene: CameraScene, config: SkycalConfig, matched: Matched, used: NDArray[np.bool_]) -> None:
+    """Refuse to calibrate with fewer than two stars per frame and `LEAST_SURPLUS`."""
     stars, frames = int(used.sum()), len(np.unique(matched.frame[used]))
     needed = 2 * frames + LEAST_SURPLUS
     if stars < needed:

@@ -2,7 +2,7 @@
 
 Frames are rendered and measured in `experiments.skycal.measure`, matched in `experiments.skycal.match`, calibrated in
 `experiments.skycal.calibrate`. Results common to all cameras have the dimension ``camera``; results whose size differs
-between cameras (models, parameters, places of the map, stars) have one section per camera.
+between cameras (models, parameters, points of the map, stars) have a section per camera.
 """
 
 from __future__ import annotations
@@ -23,14 +23,15 @@ from experiments.harness.summary import Measured
 from experiments.skycal.calibrate import METHODS, PARTS, CalibratedCamera, CalibratedMap, calibrate_camera, rms
 from experiments.skycal.match import OUTCOMES, match_frames
 from experiments.skycal.measure import record
-from experiments.skycal.scene import Scene, build_scene
-from experiments.skycal.settings import CAMERAS, Config, model_label
+from experiments.skycal.positions import STEPS
+from experiments.skycal.scene import CameraScene, build_scene
+from experiments.skycal.settings import CAMERAS, SkycalConfig, model_label
 from optics.arrays import FloatArray
 from render.engine.random import Streams
 from render.fits.files import write_frame
 
 DATA = {"measured": "as measured", "corrected": "star colours known"}
-"""Centroids that cameras are calibrated with: of one PSF; of the star's own PSF, its colour shift taken off."""
+"""Centroids that calibrate: with a PSF of one colour; with the PSF of the star's colour, colour shift subtracted."""
 METHOD_NAMES = {
     "free": "free attitudes",
     "acc": "ACC, gyro taken as perfect",
@@ -43,18 +44,18 @@ PART_NAMES = {
     "noise": "noise and pixels",
     "psf": "PSF of one colour",
 }
-PAIRS = [f"{one}, {other}" for one, other in combinations(PARTS, 2)]
-WRONG_LIMIT = 1e-3
-"""Part of the matches that may be wrong."""
+PAIRS = [", ".join(pair) for pair in combinations(PARTS, 2)]
+MOST_WRONG_MATCHES = 1e-3
+"""Largest fraction of wrong matches."""
 FAINT_SNR = 50.0
-"""Signal-to-noise ratio below which noise rules a centroid, not pixels."""
+"""Signal-to-noise ratio below which noise, not the pixel response, dominates the error of a centroid."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Camera:
+class CameraResult:
     """A camera, its stars, and the parts of its map error."""
 
-    made: CalibratedCamera
+    calibrated: CalibratedCamera
     lens: str = col("Lens", shown=False)
     detector: str = col("Detector", shown=False)
     field_deg: Sequence[float] = col("Field", "deg", ".1f", "side")
@@ -69,23 +70,23 @@ class Camera:
     stars: int = col("Used", shown=False)
     stars_per_frame: float = col("Used per frame", "", ".0f", shown=False)
     wrong_matches: int = col("Wrong matches", shown=False)
-    wrong_part: float = col("Wrong matches, part", shown=False)
+    wrong_match_fraction: float = col("Wrong matches, fraction", shown=False)
     centroid_floor_px: Sequence[float] = col("Error beyond noise", "px", ".3f", "data")
-    centroid_pull: Measured = col("Scatter of faint stars over the stated one", shown=False)
+    centroid_scatter_ratio: Measured = col("Scatter of faint stars over the stated one", shown=False)
     not_converged: int = col("Calibrations that did not converge", shown=False)
     part_rms_arcsec: Sequence[float] = col("RMS", "arcsec", "#.2g", "part")
     quadrature_arcsec: float = col("Root sum square", "arcsec", ".4f")
     part_correlation: Sequence[float] = col("Correlation", "", "+.2f", "pair")
 
 
-def camera(made: CalibratedCamera) -> Camera:
+def camera_result(calibrated: CalibratedCamera) -> CameraResult:
     """Record of a calibrated camera."""
-    scene, matched, used = made.scene, made.matched, made.used
-    part = made.part_arcsec
-    size = {name: rms(error) for name, error in part.items()}
-    judged = [made.of(data, method=method) for data in DATA for method in ("free", "linked")]
-    return Camera(
-        made=made,
+    scene, matched, used = calibrated.scene, calibrated.matched, calibrated.used
+    part = calibrated.part_arcsec
+    part_rms = {name: rms(error) for name, error in part.items()}
+    judged = [calibrated.of(data, method=method) for data in DATA for method in ("free", "linked")]
+    return CameraResult(
+        calibrated=calibrated,
         lens=scene.instrument.camera.lens.name,
         detector=scene.instrument.detector.name,
         field_deg=scene.instrument.field_deg,
@@ -95,84 +96,70 @@ def camera(made: CalibratedCamera) -> Camera:
         frames=scene.frames,
         camera_model=scene.config.model,
         detections=list(matched.count.values()),
-        rendered=sum(len(one.star) for one in made.recording.frames),
+        rendered=sum(len(frame.star) for frame in calibrated.recording.frames),
         frames_matched=matched.first_matched,
         stars=int(used.sum()),
         stars_per_frame=float(used.sum()) / scene.frames,
         wrong_matches=int((~matched.correct).sum()),
-        wrong_part=float((~matched.correct).mean()),
-        centroid_floor_px=list(made.floor_px.values()),
-        centroid_pull=centroid_pull(made),
-        not_converged=sum(one.calibration.solution.status != "converged" for one in judged),
-        part_rms_arcsec=list(size.values()),
-        quadrature_arcsec=float(np.sqrt(sum(one**2 for one in size.values()))),
+        wrong_match_fraction=float((~matched.correct).mean()),
+        centroid_floor_px=list(calibrated.floor_px.values()),
+        centroid_scatter_ratio=centroid_scatter_ratio(calibrated),
+        not_converged=sum(fitted.calibration.solution.status != "converged" for fitted in judged),
+        part_rms_arcsec=list(part_rms.values()),
+        quadrature_arcsec=float(np.sqrt(sum(value**2 for value in part_rms.values()))),
         part_correlation=[
-            float(np.nanmean((part[one] * part[other]).sum(axis=1)) / (size[one] * size[other]))
-            for one, other in combinations(PARTS, 2)
+            float(np.nanmean((part[a] * part[b]).sum(axis=1)) / (part_rms[a] * part_rms[b]))
+            for a, b in combinations(PARTS, 2)
         ],
     )
 
 
-def centroid_pull(made: CalibratedCamera) -> Measured:
+def centroid_scatter_ratio(calibrated: CalibratedCamera) -> Measured:
     """Robust scatter of faint stars' centroids (PSF of their own colour) about their light, over the stated one."""
-    faint = made.used & (made.matched.snr < FAINT_SNR)
+    faint = calibrated.used & (calibrated.matched.snr < FAINT_SNR)
     if not faint.any():
         return Measured(value=float("nan"), uncertainty=float("inf"), n=0)
-    error = (made.position_px["own"] - made.position_px["light"])[faint]
-    pull = error / np.sqrt(np.diagonal(made.matched.covariance_px2[faint], axis1=1, axis2=2))
-    # 80 % of normal deviates are below 1.2816: known to 0.889 / sqrt(n) of the scale, the median to 1.17 / sqrt(n)
+    error = (calibrated.position_px["star_psf"] - calibrated.position_px["light"])[faint]
+    pull = error / np.sqrt(np.diagonal(calibrated.matched.covariance_px2[faint], axis1=1, axis2=2))
+    # 80 % of normal deviates are below 1.2816 in magnitude: relative error of the scale 0.889 / sqrt(n), by the median
+    # 1.17 / sqrt(n)
     scatter = float(np.quantile(np.abs(pull), 0.8)) / 1.2816
     return Measured(value=scatter, uncertainty=0.889 / np.sqrt(pull.size), n=pull.size)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapError:
-    """Line of sight of the calibrated cameras against the traced lens, by camera, for one way to treat attitudes."""
+    """Line of sight of the calibrated cameras against the traced lens, for a treatment of attitudes."""
 
     measured_rms_arcsec: Sequence[float] = col("Measured", "arcsec", ".4f", "camera")
-    measured_predicted_arcsec: Sequence[Measured] = col(
-        "Predicted",
-        "arcsec",
-        dims="camera",
-    )
+    measured_predicted_arcsec: Sequence[Measured] = col("Predicted", "arcsec", dims="camera")
     corrected_rms_arcsec: Sequence[float] = col("Colours known", "arcsec", ".4f", "camera")
     noise_map_rms_arcsec: Sequence[float] = col("Noise only", "arcsec", ".4f", "camera")
-    corrected_predicted_arcsec: Sequence[Measured] = col(
-        "Predicted",
-        "arcsec",
-        dims="camera",
-    )
+    corrected_predicted_arcsec: Sequence[Measured] = col("Predicted", "arcsec", dims="camera")
     corrected_sigma_f_um: Sequence[float] = col("σ of f", "um", ".3f", "camera")
     corrected_reduced_chi2: Sequence[float] = col("χ² per degree", "", ".2f", "camera")
 
 
-def map_error(made: Sequence[CalibratedCamera], method: str) -> MapError:
-    """Map errors of all cameras by one method; "noise only" is without what the camera model cannot describe."""
-
-    def each(data: str, part: Callable[[CalibratedMap], Any]) -> list[Any]:
-        return [part(one.of(data, method=method)) for one in made]
-
-    values: dict[str, Any] = {
-        f"{data}_{name}": each(data, part)
-        for data in DATA
-        for name, part in (
-            ("rms_arcsec", lambda m: m.rms_arcsec),
-            (
-                "predicted_arcsec",
-                lambda m: Measured(
-                    value=m.map.predicted_rms_arcsec, unit="arcsec", uncertainty=m.map.predicted_rms_spread_arcsec
-                ),
-            ),
-        )
-    }
+def map_error(cameras: Sequence[CalibratedCamera], method: str) -> MapError:
+    """Map errors of all cameras by a method; "noise only" is without the misfit of the camera model."""
+    measured, corrected = ([camera.of(data, method=method) for camera in cameras] for data in DATA)
     return MapError(
+        measured_rms_arcsec=[fitted.rms_arcsec for fitted in measured],
+        measured_predicted_arcsec=[predicted_rms(fitted) for fitted in measured],
+        corrected_rms_arcsec=[fitted.rms_arcsec for fitted in corrected],
+        corrected_predicted_arcsec=[predicted_rms(fitted) for fitted in corrected],
         noise_map_rms_arcsec=[
-            rms(one.of("corrected", method=method).error_arcsec - one.clean.error_arcsec) for one in made
+            rms(fitted.error_arcsec - camera.clean.error_arcsec)
+            for fitted, camera in zip(corrected, cameras, strict=True)
         ],
-        corrected_sigma_f_um=each("corrected", sigma_f_um),
-        corrected_reduced_chi2=each("corrected", lambda m: m.calibration.solution.reduced_chi2),
-        **values,
+        corrected_sigma_f_um=[sigma_f_um(fitted) for fitted in corrected],
+        corrected_reduced_chi2=[fitted.calibration.solution.reduced_chi2 for fitted in corrected],
     )
+
+
+def predicted_rms(fitted: CalibratedMap) -> Measured:
+    """Map error [arcsec] and its scatter, from the covariance of the calibration."""
+    return Measured(value=fitted.map.predicted_rms_arcsec, uncertainty=fitted.map.predicted_rms_spread_arcsec)
 
 
 def sigma_f_um(fitted: CalibratedMap) -> float:
@@ -182,75 +169,75 @@ def sigma_f_um(fitted: CalibratedMap) -> float:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Model:
+class ModelError:
     """A camera model fitted to the same stars as the others; map errors, RMS."""
 
     parameters: int = col("Free parameters")
     direct_arcsec: float = col("Fitted to the lens", "arcsec", ".2g")
     mismatch_arcsec: float = col("Noiseless stars", "arcsec", ".2g")
-    predicted_arcsec: float = col("Noise, predicted", "arcsec", ".4f")
+    corrected_predicted_arcsec: float = col("Noise, predicted", "arcsec", ".4f")
     measured_arcsec: float = col("Measured", "arcsec", ".4f")
     corrected_arcsec: float = col("Colours known", "arcsec", ".4f")
     measured_predicted_arcsec: float = col("Predicted", "arcsec", ".4f", shown=False)
     status: str = col("Status", shown=False)
 
 
-def models(made: CalibratedCamera) -> list[Model]:
-    """Every camera model that is compared."""
-    rows = []
-    for name in made.scene.config.models:
-        measured, corrected = (made.of(data, model=name) for data in DATA)
-        rows.append(
-            Model(
+def models(calibrated: CalibratedCamera) -> list[ModelError]:
+    """Errors of every camera model that is compared."""
+    errors = []
+    for name in calibrated.scene.config.models:
+        measured, corrected = (calibrated.of(data, model=name) for data in DATA)
+        errors.append(
+            ModelError(
                 parameters=len(measured.calibration.solution.names),
-                direct_arcsec=made.direct[name].rms_arcsec,
-                mismatch_arcsec=made.of("reference", model=name).rms_arcsec,
-                predicted_arcsec=corrected.map.predicted_rms_arcsec,
+                direct_arcsec=calibrated.direct[name].rms_arcsec,
+                mismatch_arcsec=calibrated.of("reference", model=name).rms_arcsec,
+                corrected_predicted_arcsec=corrected.map.predicted_rms_arcsec,
                 measured_arcsec=measured.rms_arcsec,
                 corrected_arcsec=corrected.rms_arcsec,
                 measured_predicted_arcsec=measured.map.predicted_rms_arcsec,
                 status=measured.calibration.solution.status,
             )
         )
-    return rows
+    return errors
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Parameter:
+class FittedParameter:
     """Parameter of the configured model; ideal to distorted, in mm from the principal point."""
 
     name: str = col("Parameter")
     value: Measured = col("Value")
 
 
-def parameters(made: CalibratedCamera) -> list[Parameter]:
-    """Of the calibration of measured centroids with free attitudes, with the standard deviations it states."""
-    solution, used = made.of("measured").calibration.solution, int(made.used.sum())
-    units = f"{{{made.scene.name}_parameter}}"  # One by one, of `parameter_axis`
+def parameters(calibrated: CalibratedCamera) -> list[FittedParameter]:
+    """Parameters and standard deviations from the calibration of measured centroids with free attitudes."""
+    solution, stars = calibrated.of("measured").calibration.solution, int(calibrated.used.sum())
+    units = f"{{{calibrated.scene.name}_parameter}}"  # units along the dimension, from `parameter_axis`
     return [
-        Parameter(name=name, value=Measured(value=float(value), unit=units, uncertainty=float(sigma), n=used))
+        FittedParameter(name=name, value=Measured(value=float(value), unit=units, uncertainty=float(sigma), n=stars))
         for name, value, sigma in zip(solution.names, solution.value, solution.sigma, strict=True)
     ]
 
 
-def parameter_axis(name: str) -> Callable[[Quantities, Sequence[Parameter]], None]:
+def parameter_axis(name: str) -> Callable[[Quantities, Sequence[FittedParameter]], None]:
     """Describes the dimension of a camera's parameters, whose names end in their units."""
 
     def unit(name: str) -> str:
         return f"1/{name.rpartition('_per_')[2]}" if "_per_" in name else name.rpartition("_")[2]
 
-    def describe(q: Quantities, rows: Sequence[Parameter]) -> None:
-        names = [one.name for one in rows]
-        q.axis(f"{name}_parameter", names, "Parameter", units=[unit(one) for one in names])
+    def describe(q: Quantities, rows: Sequence[FittedParameter]) -> None:
+        names = [parameter.name for parameter in rows]
+        q.axis(f"{name}_parameter", names, "Parameter", units=[unit(parameter) for parameter in names])
 
     return describe
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Place:
-    """Line-of-sight error at a place of the detector, model minus traced lens; its prediction and its parts."""
+class MapPoint:
+    """Line-of-sight error at a point of the detector, model minus traced lens; its prediction and its parts."""
 
-    place_px: FloatArray = col("Place", "px", dims="axis")
+    position_px: FloatArray = col("Place", "px", dims="axis")
     error_arcsec: FloatArray = col("As measured", "arcsec", dims="axis")
     sigma_arcsec: FloatArray = col("Predicted σ", "arcsec", dims="axis")
     corrected_error_arcsec: FloatArray = col("Colours known", "arcsec", dims="axis")
@@ -261,23 +248,28 @@ class Place:
     psf_arcsec: FloatArray = col("PSF of one colour", "arcsec", dims="axis")
 
 
-def places(made: CalibratedCamera) -> list[Place]:
+def map_points(calibrated: CalibratedCamera) -> list[MapPoint]:
     """The map of the line of sight, row by row."""
-    whole, fine = made.of("measured"), made.of("corrected")
+    measured, corrected = (calibrated.of(data) for data in DATA)
     columns = {
-        "place_px": made.chart.pixel_px,
-        "error_arcsec": whole.error_arcsec,
-        "sigma_arcsec": whole.map.predicted_sigma_arcsec,
-        "corrected_error_arcsec": fine.error_arcsec,
-        "corrected_sigma_arcsec": fine.map.predicted_sigma_arcsec,
-        **{f"{part}_arcsec": error for part, error in made.part_arcsec.items()},
+        "position_px": calibrated.chart.pixel_px,
+        "error_arcsec": measured.error_arcsec,
+        "sigma_arcsec": measured.map.predicted_sigma_arcsec,
+        "corrected_error_arcsec": corrected.error_arcsec,
+        "corrected_sigma_arcsec": corrected.map.predicted_sigma_arcsec,
+        **{f"{part}_arcsec": error for part, error in calibrated.part_arcsec.items()},
     }
-    return [Place(**{name: values[k] for name, values in columns.items()}) for k in range(len(made.chart.pixel_px))]
+    return _records(MapPoint, columns)
+
+
+def _records(record: type, columns: Mapping[str, Any]) -> list[Any]:
+    """Records from the columns of a table."""
+    return [record(**dict(zip(columns, row, strict=True))) for row in zip(*columns.values(), strict=True)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Star:
-    """A star that was calibrated with."""
+class CalibrationStar:
+    """A star of the calibration."""
 
     frame: int = col("Frame")
     id: int = col("Star")
@@ -285,16 +277,16 @@ class Star:
     temperature: float = col("Colour temperature", "K")
     snr: float = col("Signal-to-noise ratio")
     measured_px: FloatArray = col("PSF of one colour", "px", dims="axis")
-    own_px: FloatArray = col("PSF of the star's colour", "px", dims="axis")
+    star_psf_px: FloatArray = col("PSF of the star's colour", "px", dims="axis")
     light_px: FloatArray = col("Mean of all light", "px", dims="axis")
     reference_px: FloatArray = col("Light of the reference colour", "px", dims="axis")
     residual_px: FloatArray = col("Measured minus calibrated camera", "px", dims="axis")
     sigma_px: FloatArray = col("Stated σ", "px", dims="axis")
 
 
-def stars(made: CalibratedCamera) -> list[Star]:
-    """Every star that was calibrated with."""
-    matched, used, sky = made.matched, made.used, made.scene.sky
+def stars(calibrated: CalibratedCamera) -> list[CalibrationStar]:
+    """Every star of the calibration."""
+    matched, used, sky = calibrated.matched, calibrated.used, calibrated.scene.sky
     star = matched.star[used]
     columns: dict[str, Any] = {
         "frame": matched.frame[used],
@@ -302,34 +294,36 @@ def stars(made: CalibratedCamera) -> list[Star]:
         "magnitude": sky.magnitude[star],
         "temperature": sky.temperature_k[star],
         "snr": matched.snr[used],
-        **{f"{kind}_px": made.position_px[kind][used] for kind in ("measured", "own", "light", "reference")},
-        "residual_px": made.residual_px,
+        **{f"{kind}_px": calibrated.position_px[kind][used] for kind in STEPS},
+        "residual_px": calibrated.residual_px,
         "sigma_px": np.sqrt(np.diagonal(matched.covariance_px2[used], axis1=1, axis2=2)),
     }
-    return [Star(**{name: values[k] for name, values in columns.items()}) for k in range(len(star))]
+    return _records(CalibrationStar, columns)
 
 
-def run(config: Config, *, progress: Progress) -> dict[str, Any]:
+def run(config: SkycalConfig, *, progress: Progress) -> dict[str, Any]:
     """Render, read out, measure, match, calibrate and compare."""
     root = Streams(config.seed).child("skycal")
     scenes = {name: build_scene(name, config, root.child(name)) for name in config.cameras}
-    made = {name: calibrated(scene, config, root.child(name), progress) for name, scene in scenes.items()}
+    cameras = {name: calibrated_camera(scene, config, root.child(name), progress) for name, scene in scenes.items()}
     result: dict[str, Any] = {
-        "cameras": [camera(one) for one in made.values()],
-        "methods": [map_error(list(made.values()), method) for method in METHODS],
+        "cameras": [camera_result(camera) for camera in cameras.values()],
+        "methods": [map_error(list(cameras.values()), method) for method in METHODS],
     }
-    for name, one in made.items():
+    for name, camera in cameras.items():
         result |= {
-            f"{name}_models": models(one),
-            f"{name}_parameters": parameters(one),
-            f"{name}_map": places(one),
-            f"{name}_stars": stars(one),
+            f"{name}_models": models(camera),
+            f"{name}_parameters": parameters(camera),
+            f"{name}_map": map_points(camera),
+            f"{name}_stars": stars(camera),
         }
     return result
 
 
-def calibrated(scene: Scene, config: Config, streams: Streams, progress: Progress) -> CalibratedCamera:
-    """All of one camera."""
+def calibrated_camera(
+    scene: CameraScene, config: SkycalConfig, streams: Streams, progress: Progress
+) -> CalibratedCamera:
+    """Frames, matches and calibrations of a camera."""
     with progress.stage(f"{scene.name}: frames", total=scene.frames) as stage:
         recording = record(scene, config, streams, advance=stage.advance)
     with progress.stage(f"{scene.name}: matches"):
@@ -339,12 +333,12 @@ def calibrated(scene: Scene, config: Config, streams: Streams, progress: Progres
 
 
 def files(result: Mapping[str, Any], folder: Path) -> None:
-    """One frame of each camera as FITS."""
-    for one in result["cameras"]:
-        write_frame(one.made.recording.example, folder / f"frame_{one.made.scene.name}.fits")
+    """A frame of each camera as FITS."""
+    for camera in result["cameras"]:
+        write_frame(camera.calibrated.recording.example, folder / f"frame_{camera.calibrated.scene.name}.fits")
 
 
-def axes(config: Config) -> Quantities:
+def axes(config: SkycalConfig) -> Quantities:
     """Dimensions that several sections share."""
     q = Quantities()
     q.axis("axis", ["x", "y"], "Axis")
@@ -353,24 +347,25 @@ def axes(config: Config) -> Quantities:
     q.axis("part", PARTS, "Part", names=PART_NAMES)
     q.axis("pair", PAIRS, "Parts")
     q.axis("outcome", OUTCOMES, "Detections")
-    for name, one in config.cameras.items():
-        q.axis(f"{name}_model", one.models, "Model", names=[model_label(model) for model in one.models])
+    for name, camera in config.cameras.items():
+        q.axis(f"{name}_model", camera.models, "Model", names=[model_label(model) for model in camera.models])
     return q
 
 
-def camera_axis(q: Quantities, rows: Sequence[Camera]) -> None:
-    """Cameras are called by their focal length."""
-    focal = [one.made.scene.instrument.focal_length_mm for one in rows]
-    names = [f"{f:.0f} mm" if f >= 100 else f"{f:.1f} mm" for f in focal]
-    q.axis("camera", [one.made.scene.name for one in rows], "Lens", names=names)
+def camera_axis(q: Quantities, rows: Sequence[CameraResult]) -> None:
+    """Cameras are labelled by their focal length."""
+    scenes = [camera.calibrated.scene for camera in rows]
+    focal_mm = [scene.instrument.focal_length_mm for scene in scenes]
+    names = [f"{f:.0f} mm" if f >= 100 else f"{f:.1f} mm" for f in focal_mm]
+    q.axis("camera", [scene.name for scene in scenes], "Lens", names=names)
 
 
 def sections_of(name: str) -> dict[str, Section]:
-    """Sections of one camera."""
+    """Sections of a camera."""
     model = f"{name}_model"
     return {
         f"{name}_models": Section(
-            record=Model,
+            record=ModelError,
             dim=model,
             table=f"models_{name}",
             caption="RMS map error by camera model.",
@@ -380,7 +375,7 @@ def sections_of(name: str) -> dict[str, Section]:
                 f"{name}_model_curves": curves(
                     model,
                     points="measured_arcsec corrected_arcsec",
-                    lines="mismatch_arcsec predicted_arcsec",
+                    lines="mismatch_arcsec corrected_predicted_arcsec",
                     log="y",
                     y="Map error, RMS",
                     aspect_ratio=0.36,
@@ -388,7 +383,7 @@ def sections_of(name: str) -> dict[str, Section]:
             },
         ),
         f"{name}_parameters": Section(
-            record=Parameter,
+            record=FittedParameter,
             dim=f"{name}_parameter",
             along="name",
             axes=parameter_axis(name),
@@ -396,16 +391,16 @@ def sections_of(name: str) -> dict[str, Section]:
             caption="Parameters of the calibration, with the standard deviations it states.",
         ),
         f"{name}_map": Section(
-            record=Place,
-            dim=f"{name}_place",
+            record=MapPoint,
+            dim=f"{name}_point",
             table=f"map_{name}",
             across="axis",
-            hidden=f"{name}_place",
+            hidden=f"{name}_point",
             caption="Line-of-sight error over the detector: model minus traced lens.",
-            figures={f"{name}_map": arrows("place_px", "error_arcsec", "corrected_error_arcsec")},
+            figures={f"{name}_map": arrows("position_px", "error_arcsec", "corrected_error_arcsec")},
         ),
         f"{name}_stars": Section(
-            record=Star,
+            record=CalibrationStar,
             dim=f"{name}_star",
             table=f"stars_{name}",
             across="axis",
@@ -417,7 +412,7 @@ def sections_of(name: str) -> dict[str, Section]:
 
 SECTIONS: dict[str, Section] = {
     "cameras": Section(
-        record=Camera,
+        record=CameraResult,
         dim="camera",
         axes=camera_axis,
         table="parts",
@@ -428,7 +423,9 @@ SECTIONS: dict[str, Section] = {
         caption="Contributions to the map error: RMS of each part, switched on successively in the same data.",
         note="Parts add up as vectors; independent parts would add in quadrature.",
         verdicts=[
-            below("wrong_part", WRONG_LIMIT, title="fraction of wrong matches, largest of the cameras"),
+            below(
+                "wrong_match_fraction", MOST_WRONG_MATCHES, title="fraction of wrong matches, largest of the cameras"
+            ),
             below(
                 "not_converged",
                 0.0,
@@ -436,7 +433,7 @@ SECTIONS: dict[str, Section] = {
                 advice="set start.focal_ratio nearer to 1",
             ),
             ratio_near(
-                "centroid_pull",
+                "centroid_scatter_ratio",
                 within=0.03,
                 each="camera",
                 title="scatter of faint stars' centroids over the stated one",

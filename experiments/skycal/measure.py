@@ -18,8 +18,8 @@ from calib.records import NoiseModel, Stamps, StarTable
 from experiments.harness.system import prompt_pool
 from experiments.laboratory.bench.centroid_methods import needs_epsf
 from experiments.laboratory.bench.readout.frames import mean_dark_frame, true_noise
-from experiments.skycal.scene import TEMPERATURE_RANGE_K, Scene
-from experiments.skycal.settings import Config
+from experiments.skycal.scene import TEMPERATURE_RANGE_K, CameraScene
+from experiments.skycal.settings import SkycalConfig
 from optics.arrays import FloatArray
 from optics.records import concatenated, freeze
 from render.engine.random import Streams
@@ -27,27 +27,27 @@ from render.observation import SkyLight
 from render.psf_lattice import edge_axes, psf_tracer, render_psf_grid
 from render.records import Frame
 
-BACKGROUND_BOX_PX = 256
-BACKGROUND_STEP_PX = 4
+BACKGROUND_BOX_PX, BACKGROUND_STEP_PX = 256, 4
 """The sky is flat over hundreds of pixels; every 16th pixel gives its level to 0.3 e-."""
-BANK_ERROR_PX, FINER = 0.005, 2
-"""Largest shift of a fit by interpolation of the PSFs of a sensor file; their spacing is halved at most twice."""
+BANK_ERROR_PX, MOST_HALVINGS = 0.005, 2
+"""Largest shift of a fit by interpolation of the PSFs of a sensor file, and limit of the halvings of their spacing."""
 AHEAD = 2
 """Frames that may wait for their reduction while the next ones are rendered."""
 FWHM_PX = 1.8
+"""Width of the matched filter of the detection."""
 NO_PIXELS = np.zeros((0, 0), np.float32)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameStars:
-    """One frame: detections and truth."""
+    """A frame: detections and truth."""
 
-    found: StarTable  # Detections with centroids, in pixels of the window
-    first_row: int  # Row of the first of them in the stamps of the recording
-    star: NDArray[np.int64]  # (n,) Rows of the sky that were rendered
-    direction: FloatArray  # (n, 3) Their directions in cam
-    photon_px: FloatArray  # (n, 2) Mean of all light of each
-    electrons: FloatArray  # (n,) Electrons of each on the detector
+    detections: StarTable  # With centroids, in pixels of the window
+    first_row: int  # Row of the first detection in the stamps of the recording
+    star: NDArray[np.int64]  # (n,) Rows of the rendered stars in the sky
+    direction: FloatArray  # (n, 3) Unit vectors in cam
+    photon_px: FloatArray  # (n, 2) Mean of all light of the star
+    electrons: FloatArray  # (n,) Of the star, on the detector
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -61,18 +61,17 @@ class FrameStars:
 class Recording:
     """All frames of a camera."""
 
-    frames: tuple[FrameStars, ...]  # In order
-    example: Frame  # Raw readout of one frame in the middle of the sequence
-    example_index: int  # Its number
+    frames: tuple[FrameStars, ...]
+    example: Frame  # Raw readout of the frame in the middle of the sequence
     stamps: Stamps  # Windows of all detections, frame after frame
     noise: NoiseModel  # Noise of a pixel
 
 
-def record(scene: Scene, config: Config, streams: Streams, *, advance: Callable[[], None]) -> Recording:
+def record(scene: CameraScene, config: SkycalConfig, streams: Streams, *, advance: Callable[[], None]) -> Recording:
     """Render and reduce all frames.
 
-    The renderer needs all cores for a moment and the reduction one for longer; the latter runs behind in threads of
-    its own.
+    The renderer needs all cores for a moment, the reduction a single core for longer: it runs in other threads, up to
+    `AHEAD` frames behind.
     """
     instrument, simulator = scene.instrument, scene.simulator
     noise = true_noise(instrument, dark_frames=config.dark_frames)
@@ -94,27 +93,26 @@ def record(scene: Scene, config: Config, streams: Streams, *, advance: Callable[
             advance()
         stamps = [one.result() for one in cut]
     assert example is not None
-    every = concatenated(stamps)
-    table = _centroids(scene, config, every, noise)
-    ends = np.cumsum([len(one) for one in stamps])
+    all_stamps = concatenated(stamps)
+    table = _centroids(scene, config, all_stamps, noise)
+    ends = np.cumsum([len(in_frame) for in_frame in stamps])
     return Recording(
         frames=tuple(
-            _frame_stars(light, table.select(slice(end - len(one), end)), int(end - len(one)))
-            for light, one, end in zip(rendered, stamps, ends, strict=True)
+            _frame_stars(light, table.select(slice(end - len(in_frame), end)), int(end - len(in_frame)))
+            for light, in_frame, end in zip(rendered, stamps, ends, strict=True)
         ),
         example=example,
-        example_index=middle,
-        stamps=every,
+        stamps=all_stamps,
         noise=noise,
     )
 
 
-def _frame_stars(light: SkyLight, found: StarTable, first_row: int) -> FrameStars:
+def _frame_stars(light: SkyLight, detections: StarTable, first_row: int) -> FrameStars:
     """Truth and measurement of a frame."""
     field, truth = light.field, light.truth
     assert field is not None
     return FrameStars(
-        found=found,
+        detections=detections,
         first_row=first_row,
         star=field.row,
         direction=field.direction @ field.rotation_cam_from_icrs.T,
@@ -123,8 +121,8 @@ def _frame_stars(light: SkyLight, found: StarTable, first_row: int) -> FrameStar
     )
 
 
-def _centroids(scene: Scene, config: Config, stamps: Stamps, noise: NoiseModel) -> StarTable:
-    """Centroids of all frames at once, so that PSFs are prepared once."""
+def _centroids(scene: CameraScene, config: SkycalConfig, stamps: Stamps, noise: NoiseModel) -> StarTable:
+    """Centroids of all frames together: the PSFs are prepared once."""
     if not len(stamps):
         return StarTable.empty()
     if needs_epsf(config.centroid):
@@ -132,8 +130,8 @@ def _centroids(scene: Scene, config: Config, stamps: Stamps, noise: NoiseModel) 
     return get_centroider(config.centroid).measure(stamps, noise)
 
 
-def _detect(config: Config, frame: Frame, dark_dn: NDArray[np.float32], noise: NoiseModel) -> Stamps:
-    """Find the stars of a frame, brightest first, and cut them out."""
+def _detect(config: SkycalConfig, frame: Frame, dark_dn: NDArray[np.float32], noise: NoiseModel) -> Stamps:
+    """Windows of the detected stars of a frame, brightest first."""
     image = subtract_dark(frame, dark_dn, noise=noise)
     return find_stamps(
         image,
@@ -145,19 +143,19 @@ def _detect(config: Config, frame: Frame, dark_dn: NDArray[np.float32], noise: N
 
 
 class BankRenderer:
-    """Renders PSF banks of one camera; the tracer is prepared once."""
+    """Renders PSF banks of a camera; the tracer is prepared once."""
 
-    def __init__(self, scene: Scene, config: Config) -> None:
+    def __init__(self, scene: CameraScene, config: SkycalConfig) -> None:
         self._scene, self._window_px = scene, config.window_px
         self._spacing_px = scene.config.psf_spacing_px
         self._tracer = psf_tracer(scene.instrument, sobol_log2_rays=scene.config.sobol_log2_rays)
-        for _ in range(FINER if scene.name == "own" else 0):
+        for _ in range(MOST_HALVINGS if scene.name == "own" else 0):
             if self.render(config.sky.reference_k).error_px() <= BANK_ERROR_PX:
                 break
             self._spacing_px /= 2.0
 
     def render(self, temperature_k: float) -> PsfBank:
-        """PSFs of one colour, each centred on the mean of the rays of that colour."""
+        """PSFs of one colour, whose origin is the mean of the rays of that colour."""
         sensor = self._scene.instrument
         columns, rows = axes = edge_axes(sensor.camera, self._spacing_px)
         grid = render_psf_grid(

@@ -1,8 +1,8 @@
-"""Star positions: by ray trace, by the mean of all light, by centroids with the PSF of their own colour or of one.
+"""Star positions: by ray trace, by the mean of all light, by centroids with the PSF of the star's colour or of one.
 
 Positions of the matched stars come in kinds, each with one more error: ``reference``, position of light of the
-reference colour; ``light``, position of the star's light; ``own``, centroid with the PSF of the star's own colour;
-``measured``, centroid with the PSF of one colour. ``corrected`` is ``own`` minus the colour shift of the star.
+reference colour; ``light``, position of the star's light; ``star_psf``, centroid with the PSF of the star's colour;
+``measured``, centroid with the PSF of one colour. ``corrected`` is ``star_psf`` minus the colour shift of the star.
 """
 
 from __future__ import annotations
@@ -12,25 +12,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.flags import StarFlag, has_flag
+from calib.flags import has_flag
 from experiments.laboratory.bench.centroid_methods import needs_epsf
-from experiments.skycal.match import Matched
+from experiments.skycal.match import FAILED, Matched
 from experiments.skycal.measure import BankRenderer, Recording
-from experiments.skycal.scene import Scene
-from experiments.skycal.settings import Config
+from experiments.skycal.scene import CameraScene
+from experiments.skycal.settings import SkycalConfig
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze_all
 from render.psf_lattice import ray_means_px
 
-STEPS = ("reference", "light", "own", "measured")
+STEPS = ("reference", "light", "star_psf", "measured")
 """Kinds of positions, one more error in each."""
 COLOURS = 5
-"""Classes of temperature for which PSFs are rendered when every star gets one of its own colour."""
+"""Classes of temperature for which PSFs are rendered."""
 EDGE_FRACTION = 0.012
-"""The chart ends this part of the longer side inside the detector, so that its traced points stay on it."""
+"""Margin of the chart over the longer side of the detector, so that its traced points stay on the detector."""
 CHART_LOG2_RAYS = 3
-"""The truth gets eight times the rays of a star: errors of some 1e-3 px average out over stars, but not in it."""
+"""The chart has eight times the rays of a star: errors of some 1e-3 px average out over stars, but not in the chart."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,16 +46,16 @@ class Chart:
         freeze_all(self, direction=("n", 3), pixel_px=("n", 2))
 
 
-def trace_colour(scene: Scene, direction: FloatArray, temperature_k: float, *, more_log2_rays: int = 0) -> FloatArray:
-    """Mean landing point of the rays of a star of one colour: (n, 2) [px], no image, no noise."""
+def trace_colour(
+    scene: CameraScene, direction: FloatArray, temperature_k: float, *, more_log2_rays: int = 0
+) -> FloatArray:
+    """Mean landing point (n, 2) [px] of the rays of stars of one colour."""
     stars = scene.of_one_colour(direction, temperature_k)
     rays = scene.config.sobol_log2_rays + more_log2_rays
-    if not len(stars):
-        raise DomainError(f"{scene.name}: no star to trace")
     return ray_means_px(scene.instrument.camera, stars, sobol_log2_rays=rays)
 
 
-def trace_chart(scene: Scene, config: Config) -> Chart:
+def trace_chart(scene: CameraScene, config: SkycalConfig) -> Chart:
     """Trace the truth on a regular grid of nominal pixels."""
     camera = scene.instrument.camera
     longer = max(camera.width_px, camera.height_px)
@@ -66,8 +66,8 @@ def trace_chart(scene: Scene, config: Config) -> Chart:
     )
     direction = scene.instrument.direction_at(x.ravel(), y.ravel())
     pixel = trace_colour(scene, direction, config.sky.reference_k, more_log2_rays=CHART_LOG2_RAYS)
-    if not np.isfinite(pixel).all():
-        dark = int((~np.isfinite(pixel).all(axis=1)).sum())
+    dark = int((~np.isfinite(pixel).all(axis=1)).sum())
+    if dark:
         raise DomainError(
             f"{scene.name}: no light reaches {dark} of {len(pixel)} points of the detector through lens "
             f"{camera.lens.name!r}; set {scene.name}.instrument.width_px and height_px smaller"
@@ -75,16 +75,24 @@ def trace_chart(scene: Scene, config: Config) -> Chart:
     return Chart(direction=direction, pixel_px=pixel, rows=rows, columns=columns)
 
 
-def positions(scene: Scene, recording: Recording, matched: Matched, config: Config) -> dict[str, FloatArray]:
-    """Positions (n, 2) [px] of the matched stars by kind, `STEPS` and "corrected"; NaN where one is not known."""
+def positions(
+    scene: CameraScene, recording: Recording, matched: Matched, config: SkycalConfig
+) -> dict[str, FloatArray]:
+    """Positions (n, 2) [px] of the matched stars by kind, `STEPS` and "corrected"; NaN for a star that was not
+    rendered, and where the fit does not converge."""
     reference = np.full((len(matched), 2), np.nan)
-    there = np.isfinite(matched.in_cam).all(axis=1)
-    if there.any():
-        reference[there] = trace_colour(scene, matched.in_cam[there], config.sky.reference_k)
-    own = _own_colour_centroids(scene, recording, matched, config)
+    rendered = np.isfinite(matched.in_cam).all(axis=1)
+    if rendered.any():
+        reference[rendered] = trace_colour(scene, matched.in_cam[rendered], config.sky.reference_k)
+    star_psf = _star_psf_centroids(scene, recording, matched, config)
     light = matched.photon_px
-    corrected = own - (light - reference)
-    return {"reference": reference, "light": light, "own": own, "measured": matched.pixel_px, "corrected": corrected}
+    return {
+        "reference": reference,
+        "light": light,
+        "star_psf": star_psf,
+        "measured": matched.pixel_px,
+        "corrected": star_psf - (light - reference),
+    }
 
 
 def colour_classes(temperature_k: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
@@ -92,23 +100,23 @@ def colour_classes(temperature_k: FloatArray) -> tuple[FloatArray, NDArray[np.in
     edges = np.quantile(temperature_k, np.linspace(0.0, 1.0, COLOURS + 1)[1:-1])
     member = np.searchsorted(edges, temperature_k, side="right")
     present, member = np.unique(member, return_inverse=True)
-    # photons shift in proportion to 1/T rather than to T
+    # the spectrum, and with it the chromatic shift, varies as 1/T rather than as T
     typical = [1.0 / np.mean(1.0 / temperature_k[member == k]) for k in range(len(present))]
     return np.array(typical), member
 
 
-def _own_colour_centroids(scene: Scene, recording: Recording, matched: Matched, config: Config) -> FloatArray:
-    """Centroids (n, 2) [px] with PSFs of the stars' own colours about the mean of their rays, so that they estimate
-    where the star's own light fell; NaN where the fit does not converge."""
+def _star_psf_centroids(scene: CameraScene, recording: Recording, matched: Matched, config: SkycalConfig) -> FloatArray:
+    """Centroids (n, 2) [px] with PSFs of the stars' colours, whose origin is the mean of their rays: estimates of the
+    position of the star's light."""
     renderer = BankRenderer(scene, config)
     centroider = config.centroid if needs_epsf(config.centroid) else "epsf"
     colour, member = colour_classes(scene.sky.temperature_k[matched.star])
     position = np.full((len(matched), 2), np.nan)
     for number, temperature in enumerate(colour):
         bank = renderer.render(float(temperature))
-        mine = np.flatnonzero(member == number)
-        stamps = recording.stamps.select(matched.row[mine])
-        table = bank.measure(replace(stamps, start_px=matched.pixel_px[mine]), recording.noise, centroider)
-        bad = has_flag(table.flags, StarFlag.NOT_CONVERGED | StarFlag.NO_DATA)
-        position[mine] = np.where(bad[:, None], np.nan, np.column_stack([table.x_px, table.y_px]))
+        stars = np.flatnonzero(member == number)
+        stamps = recording.stamps.select(matched.row[stars])
+        table = bank.measure(replace(stamps, start_px=matched.pixel_px[stars]), recording.noise, centroider)
+        failed = has_flag(table.flags, FAILED)
+        position[stars] = np.where(failed[:, None], np.nan, np.column_stack([table.x_px, table.y_px]))
     return position

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from calib.attitude.euler_angles import rotation_of_angles
 from calib.attitude.gyro_attitude import integrate_rates
 from calib.cameras.base import SensorGeometry
-from experiments.skycal.settings import CameraConfig, Config, MotionConfig, SkyConfig
+from experiments.skycal.settings import SkycalCameraConfig, SkycalConfig, SkycalMotionConfig, SkycalSkyConfig
 from optics.arrays import FloatArray
 from optics.attitude import attitude_from_angles
 from optics.errors import DomainError, StarbenchError
@@ -28,33 +28,34 @@ from render.sky.sky import Sky, load_sky
 from render.sky.star_light import StarLight, star_light
 
 STEPS_PER_FRAME = 20
-"""Of the integration that makes the trajectory; a spline through the result is the truth."""
+"""Integration steps of the trajectory; a spline through the result is the truth."""
 AXIS_TURN_DEG = 180.0
-"""How far the axis of rotation turns about the boresight in the sequence. About one fixed axis alone, the part of the
-installation that turns about that axis could not be seen."""
+"""Rotation of the axis about the boresight in the sequence. With a fixed axis, the rotation of the installation about
+this axis would not be observable."""
 FEWEST_STARS = 3
+"""Smallest mean number of stars per frame."""
 TEMPERATURE_RANGE_K = (1200.0, 50000.0)
-"""In which the table of starlight is accurate: redder and hotter stars count as these."""
+"""Range of the table of starlight, to which colour temperatures are clipped."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scene:
+class CameraScene:
     """A camera, its sky and its motion; f frames."""
 
     name: str  # "narrow", "wide" or "own"
-    config: CameraConfig  # What was asked for
+    config: SkycalCameraConfig
     instrument: Instrument  # Camera and detector, cut to the window that is read out
     simulator: SkySimulator  # Stars down to the faintest that are rendered, in the full pass band
     time_s: FloatArray  # (f,) Times of the frames
-    attitude: Rotation  # f attitudes, cam from icrs: the truth
-    prior_attitude: Rotation  # Attitudes that the matching starts from (a star tracker's, say), wrong by some arcmin
+    attitude: Rotation  # True attitudes (f), cam from icrs
+    prior_attitude: Rotation  # Start of the matching, with an error of arcminutes
     gyro_rotation: Rotation  # Gyro body at frame k from gyro body at the first frame, integrated from noisy rates
-    true_gyro_rotation: Rotation  # The same, true
+    true_gyro_rotation: Rotation  # True rotation of the gyro body
     installation: Rotation  # Camera from gyro body
 
     @property
     def sky(self) -> Sky:
-        """Its stars."""
+        """Stars of the simulator."""
         return self.simulator.sky
 
     @property
@@ -69,7 +70,7 @@ class Scene:
 
     @property
     def geometry(self) -> SensorGeometry:
-        """The detector as camera models know it."""
+        """Size and pitch of the detector, for camera models."""
         camera = self.instrument.camera
         size = {"width_px": camera.width_px, "height_px": camera.height_px}
         return SensorGeometry(**size, pixel_pitch_mm=camera.pixel_pitch_mm)
@@ -84,10 +85,10 @@ class Scene:
         return field.row, field.direction @ field.rotation_cam_from_icrs.T
 
 
-def build_scene(name: str, config: Config, streams: Streams) -> Scene:
-    """Scene of one camera; all checks that need no rendering."""
-    chosen = config.cameras[name]
-    instrument = _built(name, chosen)
+def build_scene(name: str, config: SkycalConfig, streams: Streams) -> CameraScene:
+    """Scene of a camera; all checks that need no rendering."""
+    camera_config = config.cameras[name]
+    instrument = _instrument(name, camera_config)
     band = open_band(config.passband, instrument, "full pass band")
     path = _trajectory(config.sky, config.motion, config.frames)
     time_s = np.arange(config.frames) / config.motion.frame_rate_hz
@@ -101,13 +102,14 @@ def build_scene(name: str, config: Config, streams: Streams) -> Scene:
     )
     record = simulate_gyro(body, gyro, streams)
     attitude, of_body = path.attitude(time_s), body.attitude(time_s)
-    error = streams.generator("told attitude").normal(size=(config.frames, 3))  # another name, other numbers
+    error = streams.generator("told attitude").normal(size=(config.frames, 3))
     error *= config.motion.attitude_error_arcmin * 60.0 * ARCSEC_RAD
     light = star_light([band], nodes=config.sky.nodes, magnitude_system="G")
-    sky = load_sky(faintest_mag=min(chosen.faintest_mag, _detectable_mag(instrument, light, chosen, config)))
-    scene = Scene(
+    detectable_mag = _detectable_mag(instrument, light, camera_config, config)
+    sky = load_sky(faintest_mag=min(camera_config.faintest_mag, detectable_mag))
+    scene = CameraScene(
         name=name,
-        config=chosen,
+        config=camera_config,
         instrument=instrument,
         simulator=SkySimulator(
             instrument,
@@ -116,8 +118,8 @@ def build_scene(name: str, config: Config, streams: Streams) -> Scene:
             passband=band,
             nodes=config.sky.nodes,
             temperature_c=instrument.config.chip_temperature_c,
-            background_e_per_s=chosen.background_e_per_s,
-            sobol_log2_rays=chosen.sobol_log2_rays,
+            background_e_per_s=camera_config.background_e_per_s,
+            sobol_log2_rays=camera_config.sobol_log2_rays,
             margin_px=0.02 * instrument.camera.width_px + 8.0,
         ),
         time_s=time_s,
@@ -131,18 +133,20 @@ def build_scene(name: str, config: Config, streams: Streams) -> Scene:
     return scene
 
 
-def _detectable_mag(instrument: Instrument, light: StarLight, chosen: CameraConfig, config: Config) -> float:
+def _detectable_mag(
+    instrument: Instrument, light: StarLight, camera_config: SkycalCameraConfig, config: SkycalConfig
+) -> float:
     """Magnitude (G) of stars that would not be detected if all their light fell on one pixel; rounded towards faint."""
     camera, exposure_s = instrument.camera, instrument.config.exposure_s
     rate = light.photon_rate(np.zeros(2), np.array(TEMPERATURE_RANGE_K))[:, 0] @ camera.response_at(
         light.wavelength_nm[0]
     )
     electrons = rate.max() * collecting_area_mm2(camera.lens) * exposure_s
-    noise_e2 = float(instrument.pixel_noise().temporal_e2(chosen.background_e_per_s * exposure_s))
+    noise_e2 = float(instrument.pixel_noise().temporal_e2(camera_config.background_e_per_s * exposure_s))
     return 0.5 * float(np.ceil(5.0 * np.log10(electrons / (config.threshold_sigma * np.sqrt(noise_e2)))))
 
 
-def _trajectory(sky: SkyConfig, motion: MotionConfig, frames: int) -> SampledAttitude:
+def _trajectory(sky: SkycalSkyConfig, motion: SkycalMotionConfig, frames: int) -> SampledAttitude:
     """Camera from icrs until one interval after the last frame: constant speed, the axis turns in the camera."""
     return precession(
         attitude_from_angles(sky.ra_deg, sky.dec_deg),
@@ -155,8 +159,8 @@ def _trajectory(sky: SkyConfig, motion: MotionConfig, frames: int) -> SampledAtt
     )
 
 
-def _built(name: str, config: CameraConfig) -> Instrument:
-    """The instrument; refuses a detector that reaches far beyond what the lens was made for."""
+def _instrument(name: str, config: SkycalCameraConfig) -> Instrument:
+    """The instrument; refuses a detector beyond the field of the lens."""
     try:
         instrument = build_instrument(config.instrument)
         instrument.check_field()
@@ -165,8 +169,8 @@ def _built(name: str, config: CameraConfig) -> Instrument:
     return instrument
 
 
-def _check_stars(scene: Scene) -> None:
-    """Refuse a sequence that has next to no stars."""
+def _check_stars(scene: CameraScene) -> None:
+    """Refuse a sequence with fewer than `FEWEST_STARS` per frame."""
     count = np.array([len(scene.in_cam(frame)[0]) for frame in range(scene.frames)])
     if count.mean() < FEWEST_STARS:
         width, height = scene.instrument.field_deg

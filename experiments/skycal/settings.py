@@ -29,10 +29,10 @@ def parse_model_name(name: str) -> tuple[str, int]:
     """Family and degree of a camera model: ``"brown_conrady"``, ``"pinhole"`` or ``"polynomial_5"``."""
     if name in ("brown_conrady", "pinhole"):
         return name, 0
-    found = re.fullmatch(r"polynomial_([1-9])", name)
-    if not found:
+    match = re.fullmatch(r"polynomial_([1-9])", name)
+    if not match:
         raise ValueError(f"{name!r}: a camera model is 'pinhole', 'brown_conrady' or 'polynomial_1' to 'polynomial_9'")
-    return "polynomial", int(found.group(1))
+    return "polynomial", int(match.group(1))
 
 
 def model_label(name: str) -> str:
@@ -41,7 +41,7 @@ def model_label(name: str) -> str:
     return {"pinhole": "pinhole", "brown_conrady": "Brown–Conrady"}.get(family, f"polynomial, degree {degree}")
 
 
-class CameraConfig(StrictModel):
+class SkycalCameraConfig(StrictModel):
     """A camera and its stars."""
 
     instrument: InstrumentConfig = InstrumentConfig()
@@ -68,13 +68,13 @@ class CameraConfig(StrictModel):
         return values
 
     @model_validator(mode="after")
-    def _among_them(self) -> CameraConfig:
+    def _among_them(self) -> SkycalCameraConfig:
         if self.model not in self.models:
             raise ValueError(f"model = {self.model!r} is none of models = {list(self.models)}")
         return self
 
 
-class SkyConfig(StrictModel):
+class SkycalSkyConfig(StrictModel):
     """First boresight and light of the sky."""
 
     ra_deg: float = Field(default=260.0, ge=0, le=360, description="right ascension of the first boresight")
@@ -85,7 +85,7 @@ class SkyConfig(StrictModel):
     )
 
 
-class MotionConfig(StrictModel):
+class SkycalMotionConfig(StrictModel):
     """Motion of the camera, and accuracy of its a priori attitude."""
 
     rate_deg_per_s: float = Field(default=0.5, gt=0, le=20, description="angular speed")
@@ -98,7 +98,7 @@ class MotionConfig(StrictModel):
     )
 
 
-class GyroConfig(StrictModel):
+class SkycalGyroConfig(StrictModel):
     """The gyro of ACF17, Table 1."""
 
     rate_hz: float = Field(default=100.0, gt=0, le=10000, description="samples per second")
@@ -111,7 +111,7 @@ class GyroConfig(StrictModel):
     )
 
 
-class StartConfig(StrictModel):
+class SkycalStartConfig(StrictModel):
     """Start values of the calibration and of the first star matching."""
 
     focal_ratio: float = Field(
@@ -122,7 +122,7 @@ class StartConfig(StrictModel):
     )
 
 
-class Config(SensorExperimentConfig):
+class SkycalConfig(SensorExperimentConfig):
     """Sixty frames through the 206 mm lens and through a wide one."""
 
     SENSOR_KEYS: ClassVar[Mapping[str, str]] = {
@@ -133,8 +133,8 @@ class Config(SensorExperimentConfig):
     which: Literal["both", "narrow", "wide", "own"] = Field(
         default="both", description="cameras; own: from a sensor file"
     )
-    narrow: CameraConfig = CameraConfig(faintest_mag=9.5, background_e_per_s=2.0)
-    wide: CameraConfig = CameraConfig(
+    narrow: SkycalCameraConfig = SkycalCameraConfig(faintest_mag=9.5, background_e_per_s=2.0)
+    wide: SkycalCameraConfig = SkycalCameraConfig(
         instrument=InstrumentConfig(
             lens="star_tracker_26mm", detector="cmv4000", width_px=1862, height_px=1862, defocus_mm=0.010
         ),
@@ -142,12 +142,12 @@ class Config(SensorExperimentConfig):
         background_e_per_s=6.0,
         psf_spacing_px=140.0,
     )
-    own: CameraConfig = CameraConfig(faintest_mag=8.0)
+    own: SkycalCameraConfig = SkycalCameraConfig(faintest_mag=8.0)
     passband: PassbandConfig = PassbandConfig()
-    sky: SkyConfig = SkyConfig()
-    motion: MotionConfig = MotionConfig()
-    gyro: GyroConfig = GyroConfig()
-    start: StartConfig = StartConfig()
+    sky: SkycalSkyConfig = SkycalSkyConfig()
+    motion: SkycalMotionConfig = SkycalMotionConfig()
+    gyro: SkycalGyroConfig = SkycalGyroConfig()
+    start: SkycalStartConfig = SkycalStartConfig()
     frames: int = Field(default=60, ge=FEWEST_FRAMES, le=10000, description="frames per camera")
     dark_frames: int = Field(default=20, ge=1, le=1000, description="dark frames, averaged and subtracted")
     centroid: CentroiderName = Field(
@@ -163,7 +163,7 @@ class Config(SensorExperimentConfig):
     map_points: int = Field(default=25, ge=5, le=101, description="points of the map along the longer side")
 
     @model_validator(mode="after")
-    def _turns(self) -> Config:
+    def _turns(self) -> SkycalConfig:
         total = self.motion.rate_deg_per_s * (self.frames - 1) / self.motion.frame_rate_hz
         if not math.isfinite(total) or total > 3600.0:
             raise ValueError(
@@ -199,9 +199,9 @@ class Config(SensorExperimentConfig):
         """Further settings in the lens file of the camera ``own``, where that camera runs."""
         if values.get("which") != "own" or not isinstance(values.get("own"), Mapping):
             return {}
-        found = super().implied({**values, "instrument": values["own"].get("instrument")})
-        own = {"own": {"instrument": found.pop("instrument")}} if "instrument" in found else {}
-        return {**found, **own}
+        implied = super().implied({**values, "instrument": values["own"].get("instrument")})
+        own = {"own": {"instrument": implied.pop("instrument")}} if "instrument" in implied else {}
+        return {**implied, **own}
 
     def remarks(self) -> tuple[str, ...]:
         """Settings taken from the lens file of the camera ``own``."""
@@ -210,21 +210,21 @@ class Config(SensorExperimentConfig):
     def as_sensor(self, file: Path | None) -> SensorConfig | None:
         """The sensor file of the first camera that runs; parameters as of `ExperimentConfig.as_sensor`."""
         camera = next(iter(self.cameras.values()))
-        found = super().as_sensor(file)
-        if found is None:
+        sensor = super().as_sensor(file)
+        if sensor is None:
             return None
-        catalogue = found.catalogue.model_copy(update={"faintest_mag": camera.faintest_mag})
-        return found.model_copy(update={"instrument": camera.instrument, "catalogue": catalogue})
+        catalogue = sensor.catalogue.model_copy(update={"faintest_mag": camera.faintest_mag})
+        return sensor.model_copy(update={"instrument": camera.instrument, "catalogue": catalogue})
 
     @property
-    def cameras(self) -> dict[str, CameraConfig]:
+    def cameras(self) -> dict[str, SkycalCameraConfig]:
         """The cameras that are run, by name."""
         return {name: getattr(self, name) for name in (("narrow", "wide") if self.which == "both" else (self.which,))}
 
 
 experiment = Experiment(
     name="skycal",
-    config=Config,
+    config=SkycalConfig,
     run="experiment:run",
     sections="experiment:SECTIONS",
     axes="experiment:axes",

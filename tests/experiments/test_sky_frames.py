@@ -16,7 +16,7 @@ from experiments.flight.scenario import build_flight
 from experiments.flight.settings import Config as FlightConfig
 from experiments.harness.progress import Progress
 from experiments.skycal import experiment as skycal
-from experiments.skycal.settings import Config as SkycalConfig
+from experiments.skycal.settings import SkycalConfig
 from optics.rays.paraxial import axial_paraxial
 
 DETECTORS = Path(__file__).parents[2] / "render" / "data" / "detectors"
@@ -58,13 +58,13 @@ def test_a_dataset_with_everything(engine, tmp_path, direction_deg, count, diges
     turn = {"kind": "scan", "rate_deg_per_s": [0.0, 0.05, 0.02], "frame_rate_hz": 10.0}
     pointing = turn | dict(zip(("ra_deg", "dec_deg"), direction_deg, strict=True))
     scene = dataset_scene.build_scene(DatasetConfig(**SCAN, pointing=pointing, instrument=SMALL | chip))
-    made = dataset_frame.FrameMaker(scene).make(1)
+    calibrated = dataset_frame.FrameMaker(scene).make(1)
     assert "cosmic_ray" in {label.kind for label in LabelMaker(scene).labels(1)}
-    assert (len(made.truth["star_id"]), np.count_nonzero(made.cosmic_rays)) == count
-    assert set(made.layers) == {"stars", "sky", "bodies", "dark"}
-    assert digest(made.frame.dn) == digests[0]
-    assert digest(*(made.truth[name] for name in TRUTH)) == digests[1]
-    assert digest(*made.layers.values()) == digests[2]
+    assert (len(calibrated.truth["star_id"]), np.count_nonzero(calibrated.cosmic_rays)) == count
+    assert set(calibrated.layers) == {"stars", "sky", "bodies", "dark"}
+    assert digest(calibrated.frame.dn) == digests[0]
+    assert digest(*(calibrated.truth[name] for name in TRUTH)) == digests[1]
+    assert digest(*calibrated.layers.values()) == digests[2]
 
 
 @pytest.mark.slow
@@ -97,13 +97,13 @@ def test_a_calibration_on_the_sky(engine):
     )  # fmt: skip
     (camera,) = skycal.run(config, progress=Progress())["cameras"]
     assert (camera.stars, camera.wrong_matches, camera.frames_matched, camera.not_converged) == (106, 0, 4, 0)
-    lens, made = camera.made.scene.instrument.camera.lens, camera.made.of("corrected").calibration
+    lens, calibrated = camera.calibrated.scene.instrument.camera.lens, camera.calibrated.of("corrected").calibration
     focal_mm = axial_paraxial(lens, lens.design_wavelength_nm).efl_mm  # started 22 % off
-    assert made.model.value("focal_length_mm") == pytest.approx(focal_mm, rel=2e-3)
-    frames = camera.made.recording.frames
+    assert calibrated.model.value("focal_length_mm") == pytest.approx(focal_mm, rel=2e-3)
+    frames = camera.calibrated.recording.frames
     found = [
-        camera.made.recording.example.dn,
+        camera.calibrated.recording.example.dn,
         np.concatenate([frame.photon_px for frame in frames]),
-        np.concatenate([frame.found.x_px for frame in frames]),
+        np.concatenate([frame.detections.x_px for frame in frames]),
     ]
     assert [digest(one) for one in found] == ["349934abcf61481e", "34b227f67b3b4257", "3d4a7fda1b5c3388"]

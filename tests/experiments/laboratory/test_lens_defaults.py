@@ -6,7 +6,7 @@ import pytest
 from experiments.camera.settings import Config as Camera
 from experiments.chromatic.settings import ChromaticConfig
 from experiments.harness.config import load_config
-from experiments.skycal.settings import Config as SkyCal
+from experiments.skycal.settings import SkycalConfig
 from render.sensor_file.instrument import build_instrument
 
 SINGLET = """UNIT MM X W X CM MR CPMM
@@ -68,7 +68,7 @@ def test_a_sensor_file_takes_them_too_and_reports_say_so(lens, tmp_path):
     camera = load_config(Camera, sensor=sensor)
     assert camera.passband.range_nm == (520.0, 600.0)
     assert camera.instrument.width_px > 0
-    sky = load_config(SkyCal, sensor=sensor)
+    sky = load_config(SkycalConfig, sensor=sensor)
     assert (sky.passband, sky.own.instrument) == (camera.passband, camera.instrument)
     for config in (camera, sky):
         (said,) = (remark for remark in config.remarks() if "singlet.zmx" in remark)
@@ -92,5 +92,5 @@ def test_the_best_focus_is_one_number_for_setting_report_and_remark(passband, tm
     assert 0.02 < camera.instrument.defocus_mm < 0.2
     assert any(f"defocus_mm = {camera.instrument.defocus_mm:g} mm" in one for one in camera.remarks())
     assert optical_state(camera).performance.best_focus_mm == pytest.approx(0.0, abs=1e-3)
-    assert load_config(SkyCal, sensor=sensor).own.instrument == camera.instrument
+    assert load_config(SkycalConfig, sensor=sensor).own.instrument == camera.instrument
     assert load_config(Camera, sensor=sensor, settings=["instrument.defocus_mm=0.05"]).instrument.defocus_mm == 0.05

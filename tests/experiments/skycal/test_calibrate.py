@@ -6,64 +6,40 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from calib.cameras import BrownConrady
 from experiments.skycal import calibrate as study
 from experiments.skycal import experiment as tables
 from experiments.skycal.calibrate import METHODS, PARTS, calibrate_camera, rms, start_camera
 from experiments.skycal.match import OUTCOMES, Matched
 from experiments.skycal.positions import Chart
-from experiments.skycal.scene import build_scene
-from experiments.skycal.settings import Config
 from optics.errors import DomainError
-from render.engine.random import Streams
 
 STATED_PX, MORE_PX, SHIFT_PX = 0.05, 0.08, 0.3
 PSF_PX = np.array([0.0, 0.02])
-TRUTH = {"x0_px": 3.0, "y0_px": -2.0, "q1_per_mm2": 2e-5}
 
 
 @pytest.fixture(scope="module")
-def config():
-    wide = Config().wide.model_copy(update={"faintest_mag": 6.0, "models": ("brown_conrady", "pinhole")})
-    return Config(frames=5, which="wide", wide=wide, motion={"rate_deg_per_s": 3.0})
-
-
-@pytest.fixture(scope="module")
-def scene(config):
-    return build_scene("wide", config, Streams(8).child("wide"))
-
-
-@pytest.fixture(scope="module")
-def camera(scene):
-    return BrownConrady.create(scene.geometry, focal_length_mm=scene.instrument.focal_length_mm, **TRUTH)
-
-
-@pytest.fixture(scope="module")
-def sky(scene, camera):
+def sky(scene, camera, stars_of_frame):
     """Matched stars, positions by kind, chart. Faint stars (half of them) scatter as stated, the others more."""
-    rng, frames = np.random.default_rng(5), []
-    for number in range(scene.frames):
-        star, in_cam = scene.in_cam(number)
-        place = camera.project(in_cam)
-        inside = np.all((place > 6) & (place < 1855), axis=1)
-        frames.append((np.full(inside.sum(), number), star[inside], in_cam[inside], place[inside]))
-    frame, star, in_cam, place = (np.concatenate(part) for part in zip(*frames, strict=True))
+    frames = [stars_of_frame(number) for number in range(scene.frames)]
+    star, in_cam, position, _ = (np.concatenate(part) for part in zip(*frames, strict=True))
+    frame = np.repeat(np.arange(scene.frames), [len(rows) for rows, *_ in frames])
     count = len(star)
-    light = place + SHIFT_PX * np.array([1.0, 0.0])
-    own = light + np.hypot(STATED_PX, MORE_PX) * rng.standard_normal((count, 2))
-    places = {
-        "reference": place,
+    light = position + SHIFT_PX * np.array([1.0, 0.0])
+    noise = np.random.default_rng(5).standard_normal((count, 2))
+    star_psf = light + np.hypot(STATED_PX, MORE_PX) * noise
+    positions = {
+        "reference": position,
         "light": light,
-        "own": own,
-        "measured": own + PSF_PX,
-        "corrected": own - (light - place),
+        "star_psf": star_psf,
+        "measured": star_psf + PSF_PX,
+        "corrected": star_psf - (light - position),
     }
     matched = Matched(
         frame=frame,
         star=star,
         row=np.arange(count),
         direction=scene.sky.direction[star],
-        pixel_px=own,
+        pixel_px=star_psf,
         covariance_px2=np.tile(STATED_PX**2 * np.eye(2), (count, 1, 1)),
         snr=np.where(np.arange(count) % 2, 20.0, 200.0),
         photon_px=light,
@@ -74,73 +50,79 @@ def sky(scene, camera):
     )
     pixel = camera.geometry.grid_px(9)
     chart = Chart(direction=camera.unproject(pixel), pixel_px=pixel, rows=9, columns=9)
-    return matched, places, chart
+    return matched, positions, chart
 
 
 @pytest.fixture(scope="module")
-def made(scene, config, sky):
-    matched, places, chart = sky
+def calibrated(scene, config, sky):
+    matched, positions, chart = sky
     recording = SimpleNamespace(frames=[SimpleNamespace(star=np.zeros(70)) for _ in range(5)])
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(study, "positions", lambda *_: places)
+        patch.setattr(study, "positions", lambda *_: positions)
         patch.setattr(study, "trace_chart", lambda *_: chart)
         return calibrate_camera(scene, recording, matched, config, advance=lambda: None)
 
 
-def test_what_is_switched_on_shows_alone(made):
+def test_what_is_switched_on_shows_alone(calibrated):
     """The camera is one of the models; a shift of all stars is one of the principal point; the rest is noise."""
-    assert made.of("reference").rms_arcsec < 1e-5
+    assert calibrated.of("reference").rms_arcsec < 1e-5
     # tan^2 of half the field is 0.04: what is left of a shift that the camera cannot tell from a tilt
-    assert 0.0 < made.of("light").rms_arcsec < 0.04 * SHIFT_PX * made.scene.pixel_arcsec
-    assert np.abs(made.clean.error_arcsec).max() < 1e-5
-    moved, before = (made.of(data).calibration.model.value("x0_px") for data in ("light", "reference"))
+    assert 0.0 < calibrated.of("light").rms_arcsec < 0.04 * SHIFT_PX * calibrated.scene.pixel_arcsec
+    assert np.abs(calibrated.clean.error_arcsec).max() < 1e-5
+    moved, before = (calibrated.of(data).calibration.model.value("x0_px") for data in ("light", "reference"))
     assert (before, moved) == pytest.approx((3.0, 3.0 + SHIFT_PX), abs=1e-5)
-    assert made.of("measured").calibration.model.value("y0_px") - made.of("own").calibration.model.value(
-        "y0_px"
-    ) == pytest.approx(PSF_PX[1], abs=1e-3)
-    found = made.of("corrected")
-    assert abs(found.rms_arcsec - found.map.predicted_rms_arcsec) < 4.0 * found.map.predicted_rms_spread_arcsec
-    pull = found.error_arcsec / found.map.predicted_sigma_arcsec
+    assert calibrated.of("measured").calibration.model.value("y0_px") - calibrated.of(
+        "star_psf"
+    ).calibration.model.value("y0_px") == pytest.approx(PSF_PX[1], abs=1e-3)
+    corrected = calibrated.of("corrected")
+    error_arcsec = corrected.rms_arcsec - corrected.map.predicted_rms_arcsec
+    assert abs(error_arcsec) < 4.0 * corrected.map.predicted_rms_spread_arcsec
+    pull = corrected.error_arcsec / corrected.map.predicted_sigma_arcsec
     assert 0.2 < np.sqrt((pull**2).mean()) < 2.5  # some five shapes
-    total = sum(made.part_arcsec[name] for name in PARTS)
-    np.testing.assert_allclose(total, made.of("measured").error_arcsec, atol=1e-12)
+    total = sum(calibrated.part_arcsec[name] for name in PARTS)
+    np.testing.assert_allclose(total, calibrated.of("measured").error_arcsec, atol=1e-12)
     # a pinhole leaves the distortion: q r^3 less what principal point, scale and tilt take; seen with and without stars
-    pinhole = made.direct["pinhole"].rms_arcsec
-    assert made.direct["brown_conrady"].rms_arcsec < 1e-5
+    pinhole = calibrated.direct["pinhole"].rms_arcsec
+    assert calibrated.direct["brown_conrady"].rms_arcsec < 1e-5
     assert pinhole > 1.0
-    assert made.of("reference", model="pinhole").rms_arcsec == pytest.approx(pinhole, rel=0.3)
+    assert calibrated.of("reference", model="pinhole").rms_arcsec == pytest.approx(pinhole, rel=0.3)
 
 
-def test_floor_is_the_scatter_that_was_not_stated(made, sky):
+def test_floor_is_the_scatter_that_was_not_stated(calibrated, sky):
     """n numbers of variance v: known to v sqrt(2 / n)."""
     matched, _, _ = sky
     variance = STATED_PX**2 + MORE_PX**2
     reach = 4.0 * variance * np.sqrt(2.0 / (2 * len(matched)))
-    for floor in made.floor_px.values():
+    for floor in calibrated.floor_px.values():
         assert floor**2 == pytest.approx(MORE_PX**2, abs=reach)
-    assert made.of("measured").calibration.solution.reduced_chi2 == pytest.approx(1.0, abs=0.02)
-    residual = made.residual_px
+    assert calibrated.of("measured").calibration.solution.reduced_chi2 == pytest.approx(1.0, abs=0.02)
+    residual = calibrated.residual_px
     assert residual.var() == pytest.approx(variance, abs=reach)
     np.testing.assert_allclose(
-        made.of("measured").calibration.covariance, made.of("corrected").calibration.covariance, rtol=0.05
+        calibrated.of("measured").calibration.covariance, calibrated.of("corrected").calibration.covariance, rtol=0.05
     )
 
 
-def test_attitudes_linked_by_a_gyro(made, scene, config, sky):
-    """A truly perfect gyro gives a map no worse than predicted; each way states less than free attitudes do."""
-    free = made.of("corrected")
-    assert {key[0] for key in made.maps} == set(METHODS)
+def test_attitudes_linked_by_a_gyro(calibrated, scene, config, sky):
+    """A truly perfect gyro gives a map no worse than predicted; each method states less than free attitudes."""
+    free = calibrated.of("corrected")
+    assert {key[0] for key in calibrated.maps} == set(METHODS)
     for method in ("linked", "acc_true"):
-        found = made.of("corrected", method=method)
-        assert found.calibration.solution.converged
-        assert abs(found.rms_arcsec - found.map.predicted_rms_arcsec) < 4.0 * found.map.predicted_rms_spread_arcsec
-        assert found.map.predicted_rms_arcsec < 1.01 * free.map.predicted_rms_arcsec
-    matched, places, chart = sky
+        linked = calibrated.of("corrected", method=method)
+        assert linked.calibration.solution.converged
+        assert abs(linked.rms_arcsec - linked.map.predicted_rms_arcsec) < 4.0 * linked.map.predicted_rms_spread_arcsec
+        assert linked.map.predicted_rms_arcsec < 1.01 * free.map.predicted_rms_arcsec
+    matched, positions, chart = sky
     exact = study.Calibrator(
-        scene=scene, matched=matched, config=config, chart=chart, used=np.ones(len(matched), bool), position_px=places
+        scene=scene,
+        matched=matched,
+        config=config,
+        chart=chart,
+        used=np.ones(len(matched), bool),
+        position_px=positions,
     )
     name = scene.config.model
-    wrong, right = (exact.calibrate("reference", model=name, method=one).rms_arcsec for one in ("acc", "acc_true"))
+    wrong, right = (exact.calibrate("reference", model=name, method=gyro).rms_arcsec for gyro in ("acc", "acc_true"))
     assert right < 1e-3
     assert wrong > 10.0 * right
 
@@ -159,51 +141,54 @@ def test_start_cameras(scene, config):
     assert rms(np.array([[3.0, 4.0], [np.nan, 1.0], [0.0, 1.0]])) == pytest.approx(np.sqrt(13.0))
 
 
-def test_records(made, scene, sky):
-    matched, places, chart = sky
-    record, count = tables.camera(made), len(matched)
-    assert (record.rendered, record.frames, record.frames_matched, record.stars) == (350, 5, 4, count)
-    assert record.stars_per_frame == pytest.approx(count / 5)
-    assert (record.wrong_matches, record.wrong_part) == (3, pytest.approx(3 / count))
-    assert record.detections == list(range(1, 1 + len(OUTCOMES)))
-    assert record.not_converged == 0
+def test_records(calibrated, scene, sky, truth):
+    matched, positions, chart = sky
+    result, count = tables.camera_result(calibrated), len(matched)
+    assert (result.rendered, result.frames, result.frames_matched, result.stars) == (350, 5, 4, count)
+    assert result.stars_per_frame == pytest.approx(count / 5)
+    assert (result.wrong_matches, result.wrong_match_fraction) == (3, pytest.approx(3 / count))
+    assert result.detections == list(range(1, 1 + len(OUTCOMES)))
+    assert result.not_converged == 0
     scatter = np.hypot(1.0, MORE_PX / STATED_PX)  # faint ones: no floor in what they state
-    assert record.centroid_pull.n == 2 * (count // 2)
-    assert record.centroid_pull.value == pytest.approx(scatter, abs=4.0 * scatter * record.centroid_pull.uncertainty)
-    assert record.centroid_pull.uncertainty == pytest.approx(0.889 / np.sqrt(2 * (count // 2)))
-    assert record.quadrature_arcsec == pytest.approx(np.linalg.norm([rms(made.part_arcsec[one]) for one in PARTS]))
-    assert record.part_correlation[1] == pytest.approx(
-        (made.part_arcsec["mismatch"] * made.part_arcsec["noise"]).sum(1).mean()
-        / (record.part_rms_arcsec[0] * record.part_rms_arcsec[2])
+    ratio = result.centroid_scatter_ratio
+    assert ratio.n == 2 * (count // 2)
+    assert ratio.value == pytest.approx(scatter, abs=4.0 * scatter * ratio.uncertainty)
+    assert ratio.uncertainty == pytest.approx(0.889 / np.sqrt(2 * (count // 2)))
+    assert result.quadrature_arcsec == pytest.approx(
+        np.linalg.norm([rms(calibrated.part_arcsec[part]) for part in PARTS])
     )
-    assert all(-1.0 <= one <= 1.0 for one in record.part_correlation)
-    assert len(tables.PAIRS) == len(record.part_correlation)
+    assert result.part_correlation[1] == pytest.approx(
+        (calibrated.part_arcsec["mismatch"] * calibrated.part_arcsec["noise"]).sum(1).mean()
+        / (result.part_rms_arcsec[0] * result.part_rms_arcsec[2])
+    )
+    assert np.abs(result.part_correlation).max() <= 1.0
+    assert len(tables.PAIRS) == len(result.part_correlation)
     assert tables.PAIRS[1] == "mismatch, noise"
-    error = tables.map_error([made, made], "free")
-    assert error.noise_map_rms_arcsec == pytest.approx([made.of("corrected").rms_arcsec] * 2, rel=1e-4)
-    assert error.measured_predicted_arcsec[0].value == made.of("measured").map.predicted_rms_arcsec
-    assert error.measured_rms_arcsec == [made.of("measured").rms_arcsec] * 2
-    fitted = {one.name: one.value for one in tables.parameters(made)}
-    for name, value in (TRUTH | {"focal_length_mm": scene.instrument.focal_length_mm}).items():
+    error = tables.map_error([calibrated, calibrated], "free")
+    assert error.noise_map_rms_arcsec == pytest.approx([calibrated.of("corrected").rms_arcsec] * 2, rel=1e-4)
+    assert error.measured_predicted_arcsec[0].value == calibrated.of("measured").map.predicted_rms_arcsec
+    assert error.measured_rms_arcsec == [calibrated.of("measured").rms_arcsec] * 2
+    fitted = {parameter.name: parameter.value for parameter in tables.parameters(calibrated)}
+    for name, value in truth.items():
         true = value + SHIFT_PX * (name == "x0_px") + PSF_PX[1] * (name == "y0_px")
         assert abs(fitted[name].value - true) < 4.5 * fitted[name].uncertainty
     assert error.corrected_sigma_f_um[0] == pytest.approx(1e3 * fitted["focal_length_mm"].uncertainty, rel=0.05)
-    brown, pinhole = tables.models(made)
+    brown, pinhole = tables.models(calibrated)
     assert (brown.parameters, pinhole.parameters) == (8, 3)
-    assert pinhole.direct_arcsec == made.direct["pinhole"].rms_arcsec > pinhole.predicted_arcsec
-    rows = tables.places(made)
+    assert pinhole.direct_arcsec == calibrated.direct["pinhole"].rms_arcsec > pinhole.corrected_predicted_arcsec
+    rows = tables.map_points(calibrated)
     assert len(rows) == 81
-    assert np.array_equal(rows[7].place_px, chart.pixel_px[7])
-    assert np.array_equal(rows[7].noise_arcsec, made.part_arcsec["noise"][7])
-    star = tables.stars(made)[3]
+    assert np.array_equal(rows[7].position_px, chart.pixel_px[7])
+    assert np.array_equal(rows[7].noise_arcsec, calibrated.part_arcsec["noise"][7])
+    star = tables.stars(calibrated)[3]
     assert (star.frame, star.magnitude) == (matched.frame[3], scene.sky.magnitude[matched.star[3]])
     np.testing.assert_allclose(star.sigma_px, STATED_PX)
-    assert np.array_equal(star.light_px, places["light"][3])
+    assert np.array_equal(star.light_px, positions["light"][3])
 
 
 def test_too_few_stars_are_refused(scene, config, sky):
-    matched, places, chart = sky
-    few = {name: np.where(np.arange(len(matched))[:, None] < 49, place, np.nan) for name, place in places.items()}
+    matched, positions, chart = sky
+    few = {name: np.where(np.arange(len(matched))[:, None] < 49, xy, np.nan) for name, xy in positions.items()}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(study, "positions", lambda *_: few)
         patch.setattr(study, "trace_chart", lambda *_: chart)

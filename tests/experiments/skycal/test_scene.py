@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.attitude.gyro_attitude import link_attitudes
 from experiments.skycal.scene import _detectable_mag, build_scene
-from experiments.skycal.settings import Config, model_label, parse_model_name
+from experiments.skycal.settings import SkycalConfig, model_label, parse_model_name
 from optics.light.magnitudes import photon_rate
 from optics.light.spectrum import Blackbody
 from render.engine.random import Streams
@@ -17,7 +17,7 @@ from render.engine.random import Streams
 @pytest.fixture(scope="module")
 def config():
     wide = {"faintest_mag": 6.0}
-    return Config(frames=12, which="wide", wide=Config().wide.model_copy(update=wide))
+    return SkycalConfig(frames=12, which="wide", wide=SkycalConfig().wide.model_copy(update=wide))
 
 
 @pytest.fixture(scope="module")
