@@ -16,7 +16,7 @@ import numpy as np
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from experiments.harness.quantities import Outcome
+    from experiments.harness.quantities import Outcome, Quantity
 
 Drawing = Callable[["Outcome"], "Figure"]
 GREY, SHADE = "#8a9099", "#eef0f2"
@@ -85,14 +85,14 @@ def curves(
                     shared = _shared(o, name, by)
                     if not shared or number == 0:
                         colour = INK if shared else PALETTE[k if coloured else number]
-                        panel.plot(member_x, o.values(name, **_of(o, name, where))[chosen], color=colour, linewidth=1.1)
+                        panel.plot(member_x, _part(o, name, where).values[chosen], color=colour, linewidth=1.1)
                 for k, name in enumerate(name for name in points.split() if name in o):
-                    error = o.errors(name, **_of(o, name, where))[chosen]
-                    style = k if coloured else number
+                    measured, style = _part(o, name, where), k if coloured else number
+                    error = None if measured.error is None else measured.error[chosen]
                     panel.errorbar(
                         _offset(member_x, number, len(members), log) if level is not None else member_x,
-                        o.values(name, **_of(o, name, where))[chosen],
-                        error if np.isfinite(error).any() else None,
+                        measured.values[chosen],
+                        error if error is not None and np.isfinite(error).any() else None,
                         fmt=MARKERS[style],
                         color=PALETTE[style],
                         markerfacecolor="white",
@@ -100,12 +100,13 @@ def curves(
                     )
             where = {**coordinates, **(at or {})}
             if floor and floor in o:
-                bound = o.values(floor, **_of(o, floor, where))
+                bound = _part(o, floor, where).values
                 panel.plot(member_x, bound, color=INK, linewidth=1.0)
                 panel.fill_between(member_x, 1e-9 if "y" in log else 0.0, bound, color=SHADE, linewidth=0, zorder=0)
                 panel.set_ylim(0.75 * np.nanmin(o.values(floor)) if "y" in log else 0.0, None)
             if dashes and dashes in o:
-                value, published = float(o.values(dashes, **_of(o, dashes, where))), o.quantity(dashes)
+                published = _part(o, dashes, where)
+                value = float(published.values)
                 panel.axhline(value, color=GREY, linewidth=0.9, dashes=(5, 3))
                 words = f"{published.label[:1].lower()}{published.label[1:]} {value:{published.format or 'g'}}"
                 panel.text(member_x[-1], value, words, ha="right", va="bottom")
@@ -149,7 +150,7 @@ def bars(
                 for name, shape, ink in markers:
                     style = {"color": ink, "markerfacecolor": "white", "markersize": 4, "linestyle": ""}
                     named = o.quantity(name).label if number == 0 else None
-                    panel.plot(o.values(name, **_of(o, name, where)), member_row, marker=shape, label=named, **style)
+                    panel.plot(_part(o, name, where).values, member_row, marker=shape, label=named, **style)
             panel.set_yticks(row, o.names(dim))
             if len(row) < 3:
                 panel.set_ylim(row.mean() - 1.5, row.mean() + 1.5)
@@ -182,7 +183,7 @@ def maps(name: str, *, place: str = "", panels: str = "", zero: bool = False, **
         for panel, where in grid:
             quantity = o.quantity(name, **where)
             if place:
-                position = o.values(place, **_of(o, place, where)).reshape(-1, 2)
+                position = _part(o, place, where).values.reshape(-1, 2)
                 colours = panel.scatter(*position.T, c=np.ravel(quantity.values), s=14, **style)
                 panel.set(xlabel="x [px]", ylabel="y [px]", aspect="equal")
                 panel.invert_yaxis()
@@ -220,8 +221,8 @@ def cloud(name: str, *, ellipses: str = "", panels: str = "", at: dict[str, Any]
             panel.plot(*vectors.T, ".", color=PALETTE[0], markersize=size, alpha=alpha)
             for ellipse, colour in zip((e for e in ellipses.split() if e in o), (PALETTE[1], INK), strict=False):
                 semi_axis = o.quantity(ellipse)
-                where = _of(o, ellipse, {**coordinates, **(at or {})})
-                where = {dim: _position(o, dim, coordinate) for dim, coordinate in where.items()}
+                where = {**coordinates, **(at or {})}
+                where = {dim: _position(o, dim, where[dim]) for dim in where if dim in semi_axis.dims}
                 x, y = np.broadcast_to(semi_axis.at(**where).values, 2)
                 largest = max(largest, float(x), float(y))
                 panel.plot(x * np.cos(angle), y * np.sin(angle), color=colour, label=semi_axis.label)
@@ -250,7 +251,7 @@ def arrows(place: str, *vectors: str, panels: str = "", frame: str = "", longest
         figure, grid = new_figure(1, len(drawn), sharey=True, squeeze=False, **shape)
         for panel, (name, where) in zip(grid[0], drawn, strict=True):
             quantity = o.quantity(name, **where)
-            position = o.values(place, **_of(o, place, where)).reshape(-1, 2)
+            position = _part(o, place, where).values.reshape(-1, 2)
             vector = quantity.values.reshape(-1, 2)
             largest = float(np.nanmax(np.linalg.norm(vector, axis=1)))
             width = float(o.values(frame)[0] if frame else np.ptp(position[:, 0]))
@@ -301,9 +302,10 @@ def _keys(o: Outcome, dim: str) -> list[Any]:
     return o.data[dim].values.tolist() if dim in o.data.coords else list(range(o.data.sizes[dim]))
 
 
-def _of(o: Outcome, name: str, where: dict[str, Any]) -> dict[str, Any]:
-    """Coordinates along the dimensions that a quantity has."""
-    return {dim: coordinate for dim, coordinate in where.items() if dim in o.dims(name)}
+def _part(o: Outcome, name: str, where: dict[str, Any]) -> Quantity:
+    """A quantity at those of the coordinates whose dimensions it has."""
+    dims = o.dims(name)
+    return o.quantity(name, **{dim: coordinate for dim, coordinate in where.items() if dim in dims})
 
 
 def _position(o: Outcome, dim: str, key: Any) -> int:
