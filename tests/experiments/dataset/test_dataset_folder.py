@@ -26,8 +26,6 @@ from experiments.dataset.truth_files import read_record, truth_bytes
 from experiments.harness.progress import Progress
 from optics.errors import ConfigError
 
-VERIFIED = ("--set", "verify.frames=1", "--set", "verify.dark_frames=4")
-
 
 def test_everything_is_there(dataset, monkeypatch):
     names = {file.name for file in dataset.iterdir()}
@@ -101,32 +99,6 @@ def test_a_frame_made_alone_in_another_order_is_the_same(dataset, job, tmp_path)
     made = digests(tmp_path)
     assert len(made) == 4
     assert made.items() <= digests(dataset).items()
-
-
-@pytest.mark.slow
-def test_what_is_missing_or_damaged_is_made_again(dataset, tmp_path):
-    folder = tmp_path / "resumed"
-    shutil.copytree(dataset, folder)
-    for name in ("truth/frame_000000.parquet", "truth/frame_000002.parquet", "frames/frame_000002.fits"):
-        (folder / name).unlink()
-    damaged = folder / "frames" / "frame_000001.fits"
-    content = bytearray(damaged.read_bytes())
-    content[-5000] ^= 1
-    damaged.write_bytes(content)
-    (folder / "frames" / ".frame_000002.fits.abc_1234").write_bytes(b"half")  # of a run that was killed
-    (folder / "truth" / ".frame_000002.parquet.1-2.partial").write_bytes(b"half")
-    mine = [folder / name for name in (".report-mine", ".frame_notes", "thesis.partial", ".hidden.partial")]
-    for file in mine:
-        file.write_text("of the user")
-    closing = ("index.parquet", "README.md", "contact_sheet.png")
-    for name in closing:
-        (folder / name).unlink()
-    assert run(folder, *VERIFIED) == 0
-    assert digests(folder) == digests(dataset)
-    assert all(file.exists() for file in mine)  # only temporary files of our own were cleared away
-    assert json.loads((folder / "summary.json").read_text())["results"]["frames"]["frames_made"]["value"] == 3
-    for name in closing:
-        assert (folder / name).read_bytes() == (dataset / name).read_bytes(), name
 
 
 @pytest.mark.slow
@@ -271,7 +243,14 @@ def test_check_names_what_is_damaged_and_what_is_made_again(dataset, tmp_path, c
     ]
     assert "does not belong to the dataset: notes.txt" in said
     assert "the same command restores: frames 1, 2; the final files of a run" in "\n".join(said)
+    partial = [
+        folder / name for name in ("frames/.frame_000002.fits.abc_1234", "truth/.frame_000002.parquet.1-2.partial")
+    ]
+    of_the_user = [folder / name for name in (".report-mine", ".frame_notes", "thesis.partial", ".hidden.partial")]
+    for file in (*partial, *of_the_user):
+        file.write_bytes(b"half")
     assert run(folder) == 0
+    assert [file.exists() for file in (*partial, *of_the_user)] == [False, False, True, True, True, True]
     assert "damaged frames are rendered again: 1, 2" in capsys.readouterr().err
     assert main(["check", str(folder)]) == 0
     assert digests(folder) == digests(dataset)

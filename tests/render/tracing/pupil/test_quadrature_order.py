@@ -220,19 +220,6 @@ def test_a_star_that_loses_light_unforeseen_is_no_matter_of_its_neighbour(engine
     np.testing.assert_allclose(images[0], images[1] + images[2], atol=1e-4 * images[0].max())
 
 
-@pytest.mark.slow
-def test_no_quadrature_takes_more_rays_than_it_is_worth(engine, bench):
-    """A wide band needs 4512 rays a wavelength: taken at six wavelengths, Sobol points in their place at 64."""
-    camera = bench.camera_of(film=False)
-    rays = {}
-    for nodes in (6, 64):
-        stars = bench.stars_at(camera, [2047.5], [1023.5], bands=((625.0, 450.0),), nodes=nodes)
-        sampling = Tracer(camera).render(stars, exposure_s=1.0).sampling
-        rays |= {(nodes, mode): number for mode, (_, number) in sampling.items()}
-    assert set(rays) == {(6, "quadrature"), (64, "sobol")}
-    assert max(rays.values()) <= 1 << 18
-
-
 def test_probes_cover_the_field_and_bounds_the_rim():
     v = probe_fields(0.3)
     assert np.allclose(np.linalg.norm(v, axis=1), 1.0)

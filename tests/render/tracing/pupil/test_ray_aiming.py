@@ -70,42 +70,24 @@ def test_rays_inside_the_outline_pass_and_those_outside_do_not(engine, bench, na
             assert np.abs(found[star] - rims.radius[star]).max() < 1e-6
 
 
-def two_apertures(distance_mm, tangent):
-    """A hole of 1 mm radius before a stop of 0.9 mm, seen through a launch disk of 1.5 mm in the plane of the hole."""
-    hole = Surface(shape=Plane(), position_mm=np.zeros(3), semi_diameter_mm=1.0)
-    stop = Surface(shape=Plane(), position_mm=np.array([0, 0, distance_mm]), semi_diameter_mm=0.9, is_stop=True)
-    lens = LensSystem(
-        name="holes",
-        source="two holes",
-        surfaces=(hole, stop),
-        glasses={},
-        image_position_mm=np.array([0.0, 0.0, distance_mm + 1.0]),
-        design_wavelength_nm=600.0,
-        max_field_deg=60.0,
+def apertures(direction, *holes):
+    """Plane holes (position, radius) [mm], the last the stop, seen through a disk of 1.5 mm in the plane z = 0."""
+    surfaces = tuple(
+        Surface(shape=Plane(), position_mm=np.array([0, 0, z]), semi_diameter_mm=radius, is_stop=number == len(holes))
+        for number, (z, radius) in enumerate(holes, start=1)
     )
-    direction = np.array([tangent, 0.3 * tangent, 1.0])
-    geometry = Geometry(0.01, np.zeros(2), (0.0, 0.0, 0.0), 1.5, 0.3)
+    image_mm = np.array([0.0, 0.0, holes[-1][0] + 1.0])
+    settings = {"name": "holes", "source": "holes", "glasses": {}, "design_wavelength_nm": 600.0, "max_field_deg": 60.0}
+    lens = LensSystem(surfaces=surfaces, image_position_mm=image_mm, **settings)
     program, theta = compile_lens(lens)
-    kernel = StarKernel(program, theta, geometry, direction[None] / np.linalg.norm(direction))
+    geometry = Geometry(0.01, np.zeros(2), (0.0, 0.0, 0.0), 1.5, 0.3)
+    kernel = StarKernel(program, theta, geometry, np.array([direction]) / np.linalg.norm(direction))
     return aimed_lens(lens, program, theta), kernel
 
 
 def test_a_stop_that_is_the_only_aperture(engine):
     """In the plane of the launch disk it is seen as it is: a circle of 0.9 mm in a disk of 1.5 mm."""
-    stop = Surface(shape=Plane(), position_mm=np.zeros(3), semi_diameter_mm=0.9, is_stop=True)
-    lens = LensSystem(
-        name="stop",
-        source="one stop",
-        surfaces=(stop,),
-        glasses={},
-        image_position_mm=np.array([0.0, 0.0, 1.0]),
-        design_wavelength_nm=600.0,
-        max_field_deg=60.0,
-    )
-    program, theta = compile_lens(lens)
-    direction = np.array([[0.6, 0.0, 0.8]])
-    kernel = StarKernel(program, theta, Geometry(0.01, np.zeros(2), (0.0, 0.0, 0.0), 1.5, 0.3), direction)
-    aim = aimed_lens(lens, program, theta)
+    aim, kernel = apertures([0.6, 0.0, 0.8], (0.0, 0.9))
     chiefs = find_chiefs(aim, kernel, WAVELENGTH_NM.mean(1))
     azimuth = np.tile(np.linspace(0.0, 6.0, 8), (3, 1))
     rims = OutlineSearch(aim, kernel, chiefs.points, WAVELENGTH_NM, azimuth).stop_rims()
@@ -117,7 +99,7 @@ def test_a_stop_that_is_the_only_aperture(engine):
 @pytest.mark.parametrize("tangent", [0.02, 0.06, 0.2, 0.4])
 def test_area_of_two_apertures(engine, tangent):
     """The overlap of two discs a distance d apart (textbook lens area); one inside the other, touching, cut in half."""
-    lens, kernel = two_apertures(2.0, tangent)
+    lens, kernel = apertures([tangent, 0.3 * tangent, 1.0], (0.0, 1.0), (2.0, 0.9))
     chiefs = find_chiefs(lens, kernel, WAVELENGTH_NM.mean(1))
     d, a, b = 2.0 * tangent * np.hypot(1.0, 0.3), 1.0, 0.9
     assert np.hypot(*chiefs.points[0, 0]) * 1.5 == pytest.approx(d, rel=1e-9)
@@ -134,25 +116,3 @@ def test_area_of_two_apertures(engine, tangent):
     ]
     assert error[1] < 1e-4
     assert error[2] < 1e-5  # what is left is the place of the kink
-
-
-def test_quadrature_inside_an_outline_converges_exponentially(engine, bench):
-    _, planner, exposure, chiefs = aimed(bench, "star_tracker_26mm", [600.3, 800.7], [500.1, 300.9])
-    outlines = find_outlines(planner._aim, exposure.picks, chiefs)
-    stars = np.flatnonzero(outlines.clear)
-    assert len(stars) == 2
-
-    def stamps(order):
-        pupil = outlines.points(order, stars)
-        x, y, ok = exposure.nodes.land(pupil, WAVELENGTH_NM)
-        assert ok.all()
-        weight = np.broadcast_to(pupil.weight / 3, x.shape)
-        corner = np.floor(x.mean((1, 2, 3))) - 10, np.floor(y.mean((1, 2, 3))) - 10
-        rays = [[v[s].ravel() for v in (x, y, weight)] for s in range(2)]
-        return np.array([bench.pixel_integrals(*r, 0.3, corner[0][s], corner[1][s], 21) for s, r in enumerate(rays)])
-
-    exact = stamps((40, 80))
-    error = [np.abs(stamps(order) - exact).max() for order in ((4, 6), (8, 12), (16, 24), (24, 36))]
-    assert error[1] < error[0] / 5
-    assert error[2] < error[1] / 10
-    assert error[3] < 1e-7
