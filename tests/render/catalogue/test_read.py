@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from astropy import units as u
 from astropy.table import MaskedColumn, Table
+from catalogue_files import plain_table
 
 from render.catalogue.presets import ColumnPreset, get_preset, preset_names
 from render.catalogue.read import catalog_from_table, read_catalog
@@ -224,17 +225,6 @@ def test_gaia_archive(tmp_path):
         assert np.isnan(getattr(catalog, name)[1]).all()
 
 
-def plain(count=30, **changes):
-    rng = np.random.default_rng(6)
-    columns = {
-        "id": np.arange(count),
-        "ra": rng.uniform(0, 360, count),
-        "dec": rng.uniform(-80, 80, count),
-        "magnitude": rng.uniform(1, 6, count),
-    }
-    return Table({**columns, **changes})
-
-
 def read_plain(table, **arguments):
     return catalog_from_table(
         table, "plain", name="test", **{"epoch_year": 2000.0, "magnitude_system": "V"} | arguments
@@ -242,31 +232,31 @@ def read_plain(table, **arguments):
 
 
 def test_bp_and_rp_make_a_colour():
-    table = plain(bp=np.full(30, 6.5), rp=np.full(30, 5.25))
+    table = plain_table(bp=np.full(30, 6.5), rp=np.full(30, 5.25))
     assert read_plain(table).bp_rp_mag.tolist() == [1.25] * 30
 
 
 def test_nan_magnitudes_stay_and_are_counted():
     magnitude = np.full(30, 4.0)
     magnitude[[2, 9]] = np.nan
-    catalog = read_plain(plain(magnitude=magnitude))
+    catalog = read_plain(plain_table(magnitude=magnitude))
     assert np.isnan(catalog.magnitude).sum() == 2
     assert "2 stars without a magnitude" in catalog.notes
 
 
 def test_ids_that_are_no_numbers():
-    table = plain(id=[f"star {i}" for i in range(30)])
+    table = plain_table(id=[f"star {i}" for i in range(30)])
     catalog = read_plain(table)
     assert catalog.id.tolist() == list(range(30))
-    assert read_plain(plain(id=[np.nan, *range(7, 36)])).id.tolist() == [-1, *range(7, 36)]
+    assert read_plain(plain_table(id=[np.nan, *range(7, 36)])).id.tolist() == [-1, *range(7, 36)]
     for odd in (0.5, 1e19):
-        assert read_plain(plain(id=[odd, *range(7, 36)])).id.tolist() == list(range(30))
+        assert read_plain(plain_table(id=[odd, *range(7, 36)])).id.tolist() == list(range(30))
     assert any("row of the file" in note for note in catalog.notes)
 
 
 def test_stated_units_are_believed():
     # a field of 6 deg at ra 0 in degrees looks like radians; who states the unit is believed
-    table = plain(ra=np.linspace(0, 6.0, 30), dec=np.linspace(-1.5, 1.5, 30))
+    table = plain_table(ra=np.linspace(0, 6.0, 30), dec=np.linspace(-1.5, 1.5, 30))
     catalog = read_plain(table, units={"ra": "deg", "dec": "deg"})
     assert np.degrees(catalog.ra_rad).max() == pytest.approx(6.0)
     catalog = read_plain(table, units={"ra": "rad", "dec": "rad"})

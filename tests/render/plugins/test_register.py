@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from star_emitters import film, star_emitter
 
 from render.camera import Camera
 from render.forward import StarRenderer
@@ -13,27 +14,9 @@ from render.motion.trajectory import ConstantRate
 from render.tracing.motion.exposure import exposure_motion
 
 ROOT = Path(__file__).parents[3]
-FILM = {
-    "type": "hdrfilm",
-    "width": 300,
-    "height": 200,
-    "rfilter": {"type": "box"},
-    "pixel_format": "luminance",
-    "component_format": "float32",
-}
+FILM = film(300, 200)
 CAMERA = {"type": "lens_camera", "lens": "star_camera_206mm", "pixel_pitch_um": 5.5, "charge_diffusion_um": 1.0}
 WAVELENGTH = np.array([[500.0, 520.0], [600.0, 620.0]])
-
-
-def star_field(mi, direction, rate=100.0):
-    shape = (len(direction), *WAVELENGTH.shape)
-    return {
-        "type": "star_field",
-        "direction": mi.TensorXf64(np.asarray(direction, float)[None]),
-        "wavelength_nm": mi.TensorXf64(WAVELENGTH[None]),
-        "photon_rate": mi.TensorXf64(np.full(shape, rate)[None]),
-        "band": "green,red",
-    }
 
 
 def foreign_scene(mi, direction, **sensor):
@@ -42,7 +25,7 @@ def foreign_scene(mi, direction, **sensor):
         "type": "scene",
         "integrator": {"type": "star_tracer"},
         "sensor": {**CAMERA, "shutter_close": 0.5, "film": FILM, **sensor},
-        "stars": star_field(mi, direction),
+        "stars": star_emitter(direction, WAVELENGTH, np.full((len(direction), 2, 2), 100.0), band="green,red"),
         "sky": {"type": "constant", "radiance": 0.1},
         "lamp": {"type": "point", "position": [0, 3, 0], "intensity": 10.0},
         "floor": {"type": "rectangle", "bsdf": {"type": "diffuse"}},

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from star_emitters import film, star_emitter
 
 from render.plugins.star_field import save_star_field
 from render.records import StarField
@@ -12,21 +13,11 @@ ALBEDO = 0.4
 WAVELENGTH = np.array([[500.0, 520.0], [600.0, 620.0]])
 DIRECTION = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [0.0, -0.8, 0.6]])
 RATE = np.array([3.0, 5.0, 2.0])
-FILM = {
-    "type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"},
-    "pixel_format": "luminance", "component_format": "float32",
-}  # fmt: skip
+PHOTONS = RATE[:, None, None] * np.array([[0.1, 0.2], [0.3, 0.4]])
 
 
 def stars(**properties):
-    import mitsuba as mi
-
-    return {
-        "type": "star_field",
-        "direction": mi.TensorXf64(DIRECTION[None]),
-        "wavelength_nm": mi.TensorXf64(WAVELENGTH[None]),
-        "photon_rate": mi.TensorXf64((RATE[:, None, None] * np.array([[0.1, 0.2], [0.3, 0.4]]))[None]),
-    } | properties
+    return star_emitter(DIRECTION, WAVELENGTH, PHOTONS) | properties
 
 
 def lit_plane(**more):
@@ -39,7 +30,7 @@ def lit_plane(**more):
             "type": "perspective",
             "fov": 10.0,
             "to_world": mi.ScalarTransform4f().look_at(origin=[0, 0, 5], target=[0, 0, 0], up=[0, 1, 0]),
-            "film": FILM,
+            "film": film(8, 8),
         },
         "plane": {
             "type": "rectangle",
@@ -125,17 +116,16 @@ def test_ptracer_needs_to_know_how_large_the_scene_is(mi):
 
 def test_field_from_files(mi, tmp_path):
     """XML, dictionary and tensors light alike."""
-    rate = RATE[:, None, None] * np.array([[0.1, 0.2], [0.3, 0.4]])
     save_star_field(
         tmp_path / "stars.npz",
-        StarField(direction=DIRECTION, wavelength_nm=WAVELENGTH, photon_rate=rate, band=("one, wide", "two")),
+        StarField(direction=DIRECTION, wavelength_nm=WAVELENGTH, photon_rate=PHOTONS, band=("one, wide", "two")),
     )
     xml = tmp_path / "scene.xml"
     xml.write_text('<scene version="3.0.0"><emitter type="star_field"><string name="filename" value="stars.npz"/>'
                    '<string name="rotation" value="0 1 0 1 0 0 0 0 -1"/></emitter></scene>')  # fmt: skip
     (field,) = mi.load_file(str(xml)).emitters()
     assert str(field) == "StarField[stars=3, bands=one, wide, two]"
-    assert np.array_equal(field.stars.photon_rate, rate)
+    assert np.array_equal(field.stars.photon_rate, PHOTONS)
     assert np.array_equal(field.world_from_stars @ DIRECTION[1], [0.0, 0.6, -0.8])
     named = mi.load_dict({"type": "star_field", "filename": str(tmp_path / "stars.npz")})
     assert np.array_equal(named.stars.direction, DIRECTION)

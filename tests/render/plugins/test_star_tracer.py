@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from star_emitters import film, star_emitter
 
 from render.forward import StarRenderer, star_scene
 from render.motion.trajectory import ConstantRate
@@ -100,20 +101,14 @@ def test_scenes_of_all_images_are_kept_on_request(mi, bench, camera, tmp_path, m
 
 
 def test_scene_of_properties_comes_back_from_a_file(mi, tmp_path):
-    film = {"type": "hdrfilm", "width": 30, "height": 20, "rfilter": {"type": "box"}, "component_format": "float32"}
     scene = {
         "type": "scene",
         "integrator": {"type": "star_tracer"},
         "sensor": {
             "type": "lens_camera", "lens": "star_camera_206mm", "pixel_pitch_um": 5.5, "charge_diffusion_um": 1.0,
-            "rotation": mi.TensorXf64(np.eye(3)[None]), "film": film | {"pixel_format": "luminance"},
+            "rotation": mi.TensorXf64(np.eye(3)[None]), "film": film(30, 20),
         },
-        "stars": {
-            "type": "star_field",
-            "direction": mi.TensorXf64(unit(0.0, 0.0)[None]),
-            "wavelength_nm": mi.TensorXf64(np.array([[[500.0, 600.0]]])),
-            "photon_rate": mi.TensorXf64(np.array([[[[3.0, 4.0]]]])),
-        },
+        "stars": star_emitter(unit(0.0, 0.0), [[500.0, 600.0]], [[[3.0, 4.0]]]),
     }  # fmt: skip
     expected = mi.render(mi.load_dict(scene)).numpy()
     files = save_scene(tmp_path / "own.xml", scene)

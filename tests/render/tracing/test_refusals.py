@@ -10,6 +10,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from star_emitters import film, star_emitter
 
 from optics.errors import BackendError, ConfigError, ConvergenceError, DomainError
 from optics.light.bsdf import HarveyShack
@@ -28,10 +29,7 @@ from render.tracing.psf import epsf_tracer, ray_epsf, render_epsf
 from render.tracing.tracer import Tracer
 
 GOOD_STARS = {"direction": [[0.0, 0.0, 1.0]], "wavelength_nm": [[600.0]], "photon_rate": [[[1.0]]], "band": ("a",)}
-FILM = {
-    "type": "hdrfilm", "width": 300, "height": 200, "rfilter": {"type": "box"}, "pixel_format": "luminance",
-    "component_format": "float32",
-}  # fmt: skip
+FILM = film(300, 200)
 SENSOR = {
     "type": "lens_camera", "lens": "star_camera_206mm", "pixel_pitch_um": 5.5, "charge_diffusion_um": 1.0, "film": FILM
 }  # fmt: skip
@@ -93,17 +91,15 @@ def shared(film: dict[str, Any] | None = None, to_world: Any = None) -> Call:
     return call
 
 
-def star_emitter(mi: Any, direction: np.ndarray = AXIS) -> dict[str, Any]:
-    rate = np.full((len(direction), 1, 2), 1.0)
-    tensors = {"direction": direction, "wavelength_nm": LINES, "photon_rate": rate}
-    return {"type": "star_field"} | {name: mi.TensorXf64(np.asarray(v, float)[None]) for name, v in tensors.items()}
+def stars(direction: np.ndarray = AXIS) -> dict[str, Any]:
+    return star_emitter(direction, LINES, np.ones((len(direction), 1, 2)))
 
 
 def scene(**changes: Callable[[Any], Any]) -> Call:
     """A scene with our integrator, rendered."""
 
     def call(mi: Any, _: Any) -> Any:
-        contents = {"type": "scene", "integrator": {"type": "star_tracer"}, "sensor": SENSOR, "stars": star_emitter(mi)}
+        contents = {"type": "scene", "integrator": {"type": "star_tracer"}, "sensor": SENSOR, "stars": stars()}
         contents |= {name: value(mi) for name, value in changes.items()}
         return mi.render(mi.load_dict({name: value for name, value in contents.items() if value is not None}))
 
@@ -114,7 +110,7 @@ def parameter(key: str, at: Any) -> Call:
     """A number of a lens that a surface has not."""
 
     def call(mi: Any, _: Any) -> Any:
-        params = mi.traverse(mi.load_dict({"type": "scene", "sensor": SENSOR, "stars": star_emitter(mi)}))
+        params = mi.traverse(mi.load_dict({"type": "scene", "sensor": SENSOR, "stars": stars()}))
         values = np.array(params[f"sensor.{key}"].numpy(), float)
         values[at] = 0.1
         params[f"sensor.{key}"] = mi.TensorXf64(values)
@@ -222,17 +218,17 @@ PLUGINS = [
     ("attitudes", motion_table(count=1), RuntimeError, ["(1, 3, 3)", "m >= 2"]),
     ("closed shutter", motion_table(shutter_close=0.0), RuntimeError, ["needs shutter_open"]),
     ("no stars", loaded({}, type="star_field"), RuntimeError, ["star_field: property 'direction' is missing"]),
-    ("star bands", lambda mi, _: mi.load_dict(star_emitter(mi) | {"band": "one,two"}), RuntimeError,
+    ("star bands", lambda mi, _: mi.load_dict(stars() | {"band": "one,two"}), RuntimeError,
      ["DomainError: StarField.wavelength_nm: shape (1, 2) where (2, 2)"]),
-    ("star property", lambda mi, _: mi.load_dict(star_emitter(mi) | {"flux": 1.0}), RuntimeError, ['"flux"']),
+    ("star property", lambda mi, _: mi.load_dict(stars() | {"flux": 1.0}), RuntimeError, ['"flux"']),
     ("star file", loaded({}, type="star_field", filename=__file__), RuntimeError,
      ["ConfigError: star_field:", "is not a file that save_star_field wrote"]),
     ("rays", loaded({}, type="star_tracer", sobol_log2_rays=99), RuntimeError, ["sobol_log2_rays = 99", "6 ... 26"]),
     ("tolerance", loaded({}, type="star_tracer", tolerance=0.0), RuntimeError, ["tolerance = 0; it must be positive"]),
     ("empty sky", scene(stars=lambda mi: None), ConfigError, ["0 star_field emitters; exactly one is needed"]),
-    ("two skies", scene(more=star_emitter), ConfigError, ["2 star_field emitters"]),
+    ("two skies", scene(more=lambda _: stars()), ConfigError, ["2 star_field emitters"]),
     ("pinhole", scene(sensor=lambda _: {"type": "perspective", "film": FILM}), ConfigError, ["lens_camera is needed"]),
-    ("stars behind", scene(stars=lambda mi: star_emitter(mi, -AXIS)), DomainError, ["star 0 lies behind the camera"]),
+    ("stars behind", scene(stars=lambda mi: stars(-AXIS)), DomainError, ["star 0 lies behind the camera"]),
     ("blurred film", scene(sensor=lambda mi: SENSOR | {"film": FILM | {"rfilter": {"type": "gaussian"}}}), ConfigError,
      ["reconstruction filter would blur"]),
     ("silhouettes", lambda mi, _: mi.load_dict(SENSOR).projection_transform(), ConfigError, ["prb_projective"]),
