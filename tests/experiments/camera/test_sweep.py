@@ -40,18 +40,6 @@ def test_magnitude_of_the_star_that_is_quoted():
 
 
 @pytest.mark.slow
-def test_where_a_requirement_is_crossed():
-    """Frames per second are 1 / exposure: 4 Hz at 0.25 s, and more below."""
-    found = study("exposure_s=0.235:0.275:3", requirements={"update_rate_hz": 4.0})
-    assert [point.meets for point in found["points"]] == [True, False, False]
-    assert [point.misses for point in found["points"]] == ["", "update_rate_hz", "update_rate_hz"]
-    (crossing,) = found["crossings"]
-    assert crossing.at == pytest.approx(0.25, abs=2e-3)
-    assert crossing.met == "below"
-    assert found["swept"].answer.endswith("at exposure 0.235 s.")
-
-
-@pytest.mark.slow
 def test_stars_that_trail():
     """NEA in white noise rises with the root of the lit area; a trail beyond the window is refused at its point."""
     quiet = {"detector": STILL | {"read_noise_e": 40.0}, "star": {"magnitude_mag": 6.0}, "centroid": "epsf"}
