@@ -1,7 +1,4 @@
-"""Star lists with known truth for the tests of the calibrations.
-
-Attitudes come from the document's matrices written out (ACF17, eq. 1, 2 and 6), not from the code under test.
-"""
+"""Star lists with known truth: attitudes from the document's matrices written out (ACF17, eq. 1, 2 and 6)."""
 
 from dataclasses import dataclass, replace
 

@@ -96,17 +96,14 @@ def coating_table(**more: object) -> Any:
 
 AIR = [
     *rows(ConfigError, air_index, (550.0, {"formula": "cidor"}, ["ciddor"]), (550.0, {"humidity": 0.5}, ["ciddor"])),
-    *rows(
-        DomainError,
-        air_index,
+    *rows(DomainError, air_index,
         (550.0, {"temperature_c": 200.0}, ["200 C", "-100 ... 140"]),
         (550.0, {"pressure_hpa": -1.0}, ["-1 hPa", "0 ... 2000"]),
         (550.0, {"humidity": 1.5, "formula": "ciddor"}, ["1.5", "0 ... 1"]),
         (550.0, {"co2_ppm": -1.0, "formula": "ciddor"}, ["-1 ppm"]),
-        ([500.0, 100.0], {}, ["100 nm", "185 ... 10000 nm"]),
-    ),
+        ([500.0, 100.0], {}, ["100 nm", "185 ... 10000 nm"])),
     *rows(DomainError, Environment, ({"temperature_c": 200.0}, ["200.0 C"]), ({"pressure_hpa": 3e3}, ["3000.0 hPa"])),
-]
+]  # fmt: skip
 BK7 = (1.86, 1.31e-8, -1.37e-11, 4.34e-7, 6.27e-10, 0.17)
 GLASS = [
     *rows(ConfigError, get_glass, ("N-FK51", {}, ["N-FK51A"])),
@@ -114,25 +111,17 @@ GLASS = [
     *rows(DomainError, get_glass("BaF2").absolute_index, (500.0, {"temperature_c": 0.0}, ["BaF2", "dn/dT", "25 C"])),
     *rows(DomainError, get_glass("S-BSL7").absolute_index, (500, {"temperature_c": 95}, ["95 C", "-40 ... 80 C"])),
     *rows(ConfigError, get_glass("N-BK7").relative_index, (500.0, {"medium": "water"}, ["water", "air"])),
-    *rows(
-        DomainError,
-        get_glass("N-BK7").index,
-        *(([500.0, v], {}, [f"{v:g} nm", "N-BK7", "300 ... 2500 nm"]) for v in (250.0, 3000.0, NAN)),
-    ),
+    *rows(DomainError, get_glass("N-BK7").index,
+        *(([500.0, v], {}, [f"{v:g} nm", "N-BK7", "300 ... 2500 nm"]) for v in (250.0, 3000.0, NAN))),
     *rows(DomainError, get_glass("N-BK7").internal_transmittance, (500.0, -1.0, {}, ["path -1 mm"])),
     *rows(DomainError, get_glass("MgF2").internal_transmittance, (500.0, 1.0, {}, ["no internal transmittance"])),
-    *rows(
-        ConfigError,
-        glass,
+    *rows(ConfigError, glass,
         ({"rnage_nm": [400, 700]}, ["mine", "range_nm"]),
         ({"source": ""}, ["mine", "source"]),
         ({"dndt": [1e-6, 0.0]}, ["mine", "2 numbers"]),
         ({"transmittance": [0.9]}, ["mine", "together, or none"]),
-        ({"formula": "schott"}, ["mine", "either B and C"]),
-    ),
-    *rows(
-        DomainError,
-        glass,
+        ({"formula": "schott"}, ["mine", "either B and C"])),
+    *rows(DomainError, glass,
         ({"B": [1.0]}, ["mine", "1 B and 2 C"]),
         ({"B": [1.0, NAN]}, ["mine", "not finite"]),
         ({"B": "abc"}, ["mine", "not a list of numbers"]),
@@ -144,14 +133,13 @@ GLASS = [
         ({"nd": "high"}, ["mine", "nd"]),
         (CURVE | {"transmittance": [0.9, 1.2]}, ["mine", "1.2"]),
         (CURVE | {"transmittance_nm": [700, 400]}, ["mine", "increase"]),
-        (CURVE | {"transmittance_mm": -1}, ["mine", "positive"]),
-    ),
+        (CURVE | {"transmittance_mm": -1}, ["mine", "positive"])),
     *rows(ConfigError, glass_from_table, ("mine", {"B": [1.0]}, {}, ["'C' is missing"]), ("mine", 3, {}, ["B and C"])),
     *rows(DomainError, ThermalDispersion.of, ([NAN, 0.0, 0.0, 0.0, 0.0, 0.2], {}, ["not finite"])),
     *rows(DomainError, ThermalDispersion.of, (BK7, {}, ["more than a tenth in 60 K"])),  # its exponent is missing
     *rows(ConfigError, Dispersion, ("conradi", (1.5,), {}, ["formula"])),
     *rows(ConfigError, partial(replace, get_glass("N-BK7")), ({"transmittance": None}, ["together, or neither"])),
-]
+]  # fmt: skip
 MATERIALS: list[Row] = [
     (f"material {kind} {words[0]}", material(kind, *numbers), StarbenchError, ["a.yml", *words])
     for kind, numbers, *words in (
@@ -186,32 +174,23 @@ AGF: list[Row] = [
 MIRROR_AR = {**PLATE[0], "medium": "mirror", "thickness_mm": -5.0, "coating": "ar"}
 QUARTER = {"ar": {"kind": "quarter_wave", "design_wavelength_nm": 550.0}}
 COATINGS = [
-    *rows(
-        ConfigError,
-        coating_table,
+    *rows(ConfigError, coating_table,
         ({"reflectance": [[-0.1, 0.0]]}, ["R = -0.1 for s light at 400 nm, 0 deg"]),
         ({"reflectance": [[0.1, 0.2]], "transmittance": [[0.8, 0.9]]}, ["R + T = 1.1 for s light at 700 nm"]),
         ({"reflectance": [[0.1]]}, ["1 rows (angles) of 2 values"]),
         ({"reflectance_s": [[0.1, 0.1]]}, ["give reflectance, or reflectance_s and reflectance_p"]),
         ({}, ["reflectance is missing"]),
         ({"angle_deg": [30.0, 10.0], "reflectance": [[0.1, 0.1]] * 2}, ["angles of incidence must increase"]),
-        ({"wavelength_nm": [700.0, 400.0], "reflectance": [[0.1, 0.1]]}, ["positive and increasing"]),
-    ),
-    *rows(
-        ConfigError,
-        coated,
+        ({"wavelength_nm": [700.0, 400.0], "reflectance": [[0.1, 0.1]]}, ["positive and increasing"])),
+    *rows(ConfigError, coated,
         ({"default_coating": "arr"}, ["coating 'arr'"]),
         ({"coating": {"bare": QUARTER["ar"]}}, ["'bare' is reserved"]),
-        ({"surface": [MIRROR_AR], "coating": QUARTER}, ["surface 0: the coating of a mirror is a table"]),
-    ),
+        ({"surface": [MIRROR_AR], "coating": QUARTER}, ["surface 0: the coating of a mirror is a table"])),
     *rows(ConfigError, Film, ({"thickness_nm": 10.0}, ["either a material or an index"])),
-    *rows(
-        DomainError,
-        Film,
+    *rows(DomainError, Film,
         ({"thickness_nm": 10.0, "index": 1.5, "extinction": -1.0}, ["extinction"]),
-        ({"thickness_nm": 0.0, "index": 1.5}, ["thickness_nm = 0"]),
-    ),
-]
+        ({"thickness_nm": 0.0, "index": 1.5}, ["thickness_nm = 0"])),
+]  # fmt: skip
 
 
 def with_aperture(**table: object) -> Any:
@@ -238,12 +217,9 @@ POLYGON = {"kind": "polygon", "points_mm": [(0, 0), (1, 1), (2, 2)]}
 SURFACES = [
     *rows(DomainError, OddAsphere, ({"terms": (1e-3,)}, ["a cone"])),
     *rows(DomainError, Qcon, ({"norm_radius_mm": 0.0}, ["Qcon.norm_radius_mm = 0.0", "positive"])),
-    *rows(
-        DomainError,
-        partial(Zernike, norm_radius_mm=1.0),
+    *rows(DomainError, partial(Zernike, norm_radius_mm=1.0),
         ({"ordering": "ansi"}, ["'noll' or 'fringe'"]),
-        ({"ordering": "fringe", "coefficients_mm": (0.0,) * 38}, ["at most 37"]),
-    ),
+        ({"ordering": "fringe", "coefficients_mm": (0.0,) * 38}, ["at most 37"])),
     *rows(DomainError, Toroid, ({"rotation_radius_mm": 0.0}, ["inf for a cylinder"])),
     *rows(DomainError, Biconic, ({"radius_x_mm": NAN}, ["Biconic.radius_x_mm = nan"])),
     *rows(DomainError, ThinLens, ({"focal_length_mm": 0.0}, ["0.0"])),
@@ -254,24 +230,19 @@ SURFACES = [
     *rows(DomainError, Plane().changed, ("conic", 0.1, {}, ["plane has no conic", "no parameter"])),
     *rows(DomainError, EvenAsphere(asphere=(1e-6,)).changed, ("radius_mm", 1.0, {}, ["radius cannot be changed"])),
     *rows(TypeError, Unfinished, ({}, ["flipped"])),
-    *rows(
-        ConfigError,
-        with_aperture,
+    *rows(ConfigError, with_aperture,
         ({"kind": "circel", "radius_mm": 1.0}, ["did you mean circle"]),
         ({"kind": "circle"}, ["radius_mm"]),
         (POLYGON, ["enclose no area"]),
         ({"kind": "rectangle", "half_width_mm": [1.0, 0.0]}, ["above 0"]),
         ({"kind": "circle", "radius_mm": 1.0, "half_width_mm": [1, 1]}, ["half_width_mm"]),
-        ({"kind": "spider", "arms": 3, "width_mm": 0.4, "obscures": False}, ["can only block"]),
-    ),
+        ({"kind": "spider", "arms": 3, "width_mm": 0.4, "obscures": False}, ["can only block"])),
     ("map absent", with_map(None), StarbenchError, ["map.txt: map cannot be read"]),
     ("map of words", with_map("1 2 x\n"), StarbenchError, ["map.txt: not a table of numbers"]),
     ("map too small", with_map("1 2 3\n4 5 6\n"), StarbenchError, ["(2, 3) points"]),
     ("map with NaN", with_map("nan " * 6 + "\n" + ("1 " * 6 + "\n") * 6), StarbenchError, ["finite"]),
     ("map too narrow", with_map(("1 " * 6 + "\n") * 6, semi_diameter_mm=9.5), ConfigError, ["9.5 mm", "18 mm"]),
-    *rows(
-        ConfigError,
-        table_lens,
+    *rows(ConfigError, table_lens,
         (STOP, {**FACE, "carry": "bend"}, BACK, {}, ["carry = 'bend' needs medium = 'mirror'"]),
         (STOP, {**FACE, "cte_per_k": 1e-6}, BACK, {}, ["cte_per_k needs medium = 'mirror'"]),
         (STOP, {"kind": "coordinate_break", "tilt_deg": [90.0, 0.0]}, FACE, BACK, {}, ["edge-on to the light"]),
@@ -280,8 +251,7 @@ SURFACES = [
         (STOP, {**BREAK, "medium": "air"}, FACE, BACK, {}, ["medium"]),
         ({**STOP, "stop": False}, M1, BACK, {"stop": {"z_mm": 90.0, "semi_diameter_mm": 1.0}}, ["behind", "mirror"]),
         (STOP, {**FACE, "kind": "conc"}, BACK, {}, ["unknown surface.1.kind 'conc'", "did you mean conic"]),
-        (STOP, {**FACE, "kind": "sphere"}, BACK, {}, ["'surface.1.conic'", "kind = 'conic'"]),
-    ),
+        (STOP, {**FACE, "kind": "sphere"}, BACK, {}, ["'surface.1.conic'", "kind = 'conic'"])),
     *rows(
         ConfigError,
         lambda: replace(
@@ -290,15 +260,13 @@ SURFACES = [
         ),
         ({}, ["the medium behind a mirror must be the one in front of it"]),
     ),
-]
+]  # fmt: skip
 STOP_TABLE = "[stop]\nz_mm = -1.0\nsemi_diameter_mm = 5.0\n"
 ALONE = '[[surface]]\nthickness_mm = 4.6\nmedium = "air"\n\n[stop]\nz_mm = 750.0\nsemi_diameter_mm = 3.9\n'
 OPEN_STOP = TRIPLET.replace("semi_diameter_mm = 3.9\n", "")
 BEYOND = "= -18.4\nasphere = [1.0]"
 LENS_TOML = [
-    *edited(
-        MINIMAL,
-        "a.toml",
+    *edited(MINIMAL, "a.toml",
         ('source = "test"\n', "", "source"),
         ("radius_mm = 50.0", "radios_mm = 50.0", "did you mean 'radius_mm'"),
         ("radius_mm = 50.0", "radius_mm = 0.0", "other than zero"),
@@ -311,19 +279,13 @@ LENS_TOML = [
         ("semi_diameter_mm = 6.0", "semi_diameter_mm = 6.0\ninner_semi_diameter_mm = 7.0", "between 0 and"),
         ("max_field_deg = 2.0", "max_field_deg = 95.0", "below 90"),
         ("[[surface]]", "[[surface", "not valid TOML"),
-        ("thickness_mm = 5.0", "thickness_mm = -5.0", "surface 0: thickness_mm = -5 mm of N-BK7 has the wrong sign"),
-    ),
-    *edited(
-        TOML_HEAD,
-        "a.toml",
+        ("thickness_mm = 5.0", "thickness_mm = -5.0", "surface 0: thickness_mm = -5 mm of N-BK7 has the wrong sign")),
+    *edited(TOML_HEAD, "a.toml",
         (TOML_HEAD, f"{TOML_HEAD}surface = 3", "surface = 3: a list of tables is needed, [[surface]] before each"),
         (TOML_HEAD, f"{TOML_HEAD}surface = [3]", "surface.0 = 3: a table is needed"),
         (TOML_HEAD, f"{TOML_HEAD}[surface]\nradius_mm = 3.0", "surface: a list of tables is needed"),
-        (TOML_HEAD, "a = " + "[" * 5000 + "]" * 5000, "not valid TOML"),
-    ),
-    *edited(
-        TRIPLET,
-        "a.toml",
+        (TOML_HEAD, "a = " + "[" * 5000 + "]" * 5000, "not valid TOML")),
+    *edited(TRIPLET, "a.toml",
         (STOP_TEXT, ALONE, "image plane lies 689.79 mm in front of the stop", "check stop.z_mm"),
         ("= 42.2", "= -1.5", "image plane lies 1.5 mm in front of surface 6, the last"),
         ("= 3.26", "= -22.0", "surface 0: thickness_mm = -22 mm of N-SK16"),
@@ -351,11 +313,10 @@ LENS_TOML = [
                 ('file = "f2.yml"\nnd = 1.6', "glass.melt 7.nd is not allowed together with file"),
                 ("file = 3", "glass.melt 7.file = 3: text"),
             )
-        ),
-    ),
+        )),
     *rows(ConfigError, load_lens, ("star_camera_206", {}, ["did you mean star_camera_206mm"])),
     *rows(ConfigError, read_lens_file, ("star_camera_206mm", {"configuration": 2}, ["to .zmx and .seq files only"])),
-]
+]  # fmt: skip
 
 
 def file_of_bytes(name: str, content: bytes | None) -> Callable[[Path], Any]:
@@ -428,9 +389,7 @@ LENS_FILES: list[Row] = [
     ("zmx apertures", writes("a.zmx", aperture=TWO), ConfigError, ["single aperture"]),
     ("zmx rotated", writes("a.zmx", aperture=[{**TWO[0], "angle_deg": 5.0}]), ConfigError, ["rotated aperture"]),
     ("zmx polygon", writes("a.zmx", aperture=[CORNERS]), ConfigError, ["polygon"]),
-    *edited(
-        ZMX_SINGLET,
-        "a.zmx",
+    *edited(ZMX_SINGLET, "a.zmx",
         ("SURF 2", "SURF 1", "line 29", "missing or repeated"),
         ("UNIT MM", "UNIT FURLONG", "line 4", "'FURLONG'", "INCH"),
         ("N-BK7", "UNOBTAINIUM", "line 27", "'UNOBTAINIUM'"),
@@ -470,11 +429,8 @@ LENS_FILES: list[Row] = [
         ("CURV 0.02", "CURV 0.2", "surface 1 (line 22): semi_diameter_mm = 5 mm reaches the rim"),
         ("DIAM 7 1", "DIAM 1e300 1", "surface 2 (line 29): semi_diameter_mm = inf"),
         ("DISZ 60.0", "DISZ -60.0", "in front of surface 2 (line 29)"),
-        ("DISZ 5.0", "DISZ 0.1", "surface 1 (line 22) and surface 2 (line 29) cross"),
-    ),
-    *edited(
-        SEQ_SINGLET,
-        "a.seq",
+        ("DISZ 5.0", "DISZ 0.1", "surface 1 (line 22) and surface 2 (line 29) cross")),
+    *edited(SEQ_SINGLET, "a.seq",
         ("DIM M", "DIM FT", "line 4", "'FT'"),
         ("  CIR 7.0", "  DIF DOE", "line 16", "diffractive"),
         ("  CIR 7.0", "  GRN 1", "gradient"),
@@ -500,9 +456,8 @@ LENS_FILES: list[Row] = [
         ("GO\n", "PIK THI S2\nGO\n", "pickup is not supported"),
         ("SO 0.0", "PRV\nPWL 500 600\n'MY' 1.5\nEND\nSO 0.0", "1 indices at 2 wavelengths"),
         ("SO 0.0", "PRV\nPWL 500 600\n'MY' 1.5 9.0\nEND\nSO 0.0", "outside the range of any glass"),
-        ("SO 0.0", "PRV\n'MY' LAU 1 2 3 4 5 6 7\nEND\nSO 0.0", "7 coefficients"),
-    ),
-]
+        ("SO 0.0", "PRV\n'MY' LAU 1 2 3 4 5 6 7\nEND\nSO 0.0", "7 coefficients")),
+]  # fmt: skip
 
 
 def undecided(folder: Path) -> Any:
@@ -532,66 +487,45 @@ LENSES = [
     *rows(ConfigError, decentre, (TRACKER, "L4", 0.1, {}, ["did you mean L"]), (TRACKER, [], 0.1, {}, ["no surface"])),
     *rows(ConfigError, tilt, (TRACKER, 99, 0.1, {}, ["surfaces 0"])),
     *rows(DomainError, tilt, (TRACKER, 0, 0.1, {"pivot_mm": (0.0,)}, ["pivot_mm = (0.0,)"])),
-    *rows(
-        DomainError,
-        change_shape,
+    *rows(DomainError, change_shape,
         (TRACKER, TRACKER.stop_index, "radius_mm", 1.0, {}, ["plane"]),
-        (TRACKER, 0, "radius_mm", -30.0, {}, ["changes sign"]),
-    ),
+        (TRACKER, 0, "radius_mm", -30.0, {}, ["changes sign"])),
     *rows(DomainError, change_index, (TRACKER, 1, 1e-4, {}, ["no glass follows"])),
     *rows(DomainError, decentre, (TRACKER, "L1", NAN, {}, ["finite"])),
-    *rows(
-        DomainError,
-        partial(change_temperature, temperature_c=40.0, housing_cte_per_k=1e-5),
+    *rows(DomainError, partial(change_temperature, temperature_c=40.0, housing_cte_per_k=1e-5),
         (BARE, {}, ["no expansion coefficient"]),
-        (COLD, {}, ["no dn/dT data"]),
-    ),
+        (COLD, {}, ["no dn/dT data"])),
     *rows(DomainError, moved_element, (CAMERA, "L2", "roll", 0, 1.0, {}, ["'decentre' or 'tilt'"])),
     *rows(DomainError, ThermalState, ({"axial_k": NAN}, ["axial_k = nan K"])),
-    *rows(
-        DomainError,
-        heated_lens,
+    *rows(DomainError, heated_lens,
         (CAMERA, ThermalState(mean_k=200.0), HOUSING, {}, ["outside -100"]),
         (CAMERA, ThermalState(mean_k=110.0, axial_k=40.0), HOUSING, {}, ["outside", "of its dn/dT data"]),
-        (CAMERA, ThermalState(mean_k=1.0), RIM_90, {}, ["ends inside this radius"]),
-    ),
-    *rows(
-        ConfigError,
-        heated_lens,
-        (CAMERA, ThermalState(mean_k=1.0), with_spacers(HOUSING, L11=1e-6), {}, ["did you mean L1"]),
-    ),
-    *rows(
-        DomainError,
-        Housing,
+        (CAMERA, ThermalState(mean_k=1.0), RIM_90, {}, ["ends inside this radius"])),
+    *rows(ConfigError, heated_lens,
+        (CAMERA, ThermalState(mean_k=1.0), with_spacers(HOUSING, L11=1e-6), {}, ["did you mean L1"])),
+    *rows(DomainError, Housing,
         ({"expansion_per_k": 0.0, "diameter_mm": 0.0}, ["diameter_mm"]),
         ({"expansion_per_k": 1.0}, ["expansion_per_k = 1.0/K"]),
-        ({"expansion_per_k": 0.0, "poisson_ratio": 1.0}, ["poisson_ratio = 1.0"]),
-    ),
+        ({"expansion_per_k": 0.0, "poisson_ratio": 1.0}, ["poisson_ratio = 1.0"])),
     *rows(DomainError, Mount, ({"front_radius_mm": -1.0}, ["Mount.front_radius_mm = -1.0 mm"])),
     *rows(DomainError, first_order_response, ([1.0], {"step_s": 0.01, "constant_s": 0.0}, ["constant_s = 0"])),
     *rows(DomainError, ThermalHistory, ({"time_s": [0.0, 10.0], "values_k": np.zeros((2, 4))}, ["values_k", "(2, 4)"])),
-    *rows(
-        StarbenchError,
-        measured,
+    *rows(StarbenchError, measured,
         ({"component": [{**ONE_GAUSSIAN, "share": 0.5}]}, ["add up to 1"]),
         ({"component": [{**ONE_GAUSSIAN, "sigma_x_um": 0.0}]}, ["must be positive"]),
         ({"component": [{**ONE_GAUSSIAN, "sigma_x_um": [[[4.0]]]}]}, ["component.0.sigma_x_um"]),
         ({"component": [{**ONE_GAUSSIAN, "correlation": 1.0}]}, ["correlation"]),
         ({"vignetting": {"radius_mm": [0.0], "relative_light": [1.0]}}, ["at least two points"]),
         ({"psf": {"wavelength_nm": [500.0, 700.0], "x_mm": [4.0, -4.0]}}, ["increasing"]),
-        ({"camera": {"focal_length": 35.0}}, ["focal_length_mm"]),
-    ),
+        ({"camera": {"focal_length": 35.0}}, ["focal_length_mm"])),
     *rows(DomainError, trace_pupil, (measured_lens(measured()), [0.0], [0.0], [600.0], {}, ["needs a prescription"])),
     *rows(DomainError, decentre, (measured_lens(measured()), "lens", 0.1, {}, ["needs a prescription"])),
     *rows(DomainError, stopped_down, (measured_lens(measured()), 4.0, {}, ["needs a prescription"])),
-    *rows(
-        DomainError,
-        partial(ideal_lens, focal_length_mm=50.0),
+    *rows(DomainError, partial(ideal_lens, focal_length_mm=50.0),
         ({"f_number": 2.0, "spot_um": 3.0, "psf_fwhm_px": 1.0}, ["give one of them"]),
         ({"f_number": 0.4}, ["f_number = 0.4", "above 0.5"]),
-        ({"f_number": 2.0, "spot_um": -1.0}, ["spot_um = -1.0"]),
-    ),
-]
+        ({"f_number": 2.0, "spot_um": -1.0}, ["spot_um = -1.0"])),
+]  # fmt: skip
 
 
 def beyond_its_range(folder: Path) -> Any:
@@ -606,12 +540,9 @@ def marks(**settings: Any) -> Marks:
 
 TOP = [
     ("asphere beyond its range", beyond_its_range, DomainError, ["rays on the axis from", "lost at surface 6"]),
-    *rows(
-        DomainError,
-        partial(frame_page, np.eye(2)),
+    *rows(DomainError, partial(frame_page, np.eye(2)),
         ({"flags": {"saturated": np.zeros((3, 3), bool)}}, ["flags"]),
-        ({"sky": np.zeros((4, 3))}, ["sky"]),
-    ),
+        ({"sky": np.zeros((4, 3))}, ["sky"])),
     *rows(DomainError, frame_page, (np.zeros((2, 3, 4)), {}, ["two dim"]), (np.full((2, 2), NAN), {}, ["finite"])),
     *rows(ConfigError, marks, ({"shape": "star"}, ["circle, square"])),
     *rows(DomainError, marks, ({"columns": {"flux": [1, 2]}}, ["flux has 2 values for 3"])),
@@ -624,7 +555,7 @@ TOP = [
     ("FITS empty", lambda f: image_header(written(f, b"", "a.fits")), ConfigError, ["file is empty"]),
     ("FITS of text", lambda f: image_header(written(f, "x", "a.fits")), ConfigError, ["SIMPLE"]),
     ("FITS zipped", lambda f: image_header(written(f, b"PK\x03\x04  ", "a.fits")), ConfigError, ["packed by zip"]),
-]
+]  # fmt: skip
 ROOMS = {
     "air": AIR, "glass": [*GLASS, *MATERIALS, *AGF, *COATINGS], "surfaces": SURFACES, "toml": LENS_TOML,
     "files": LENS_FILES, "lenses": LENSES, "top": TOP,

@@ -652,17 +652,10 @@ STARS_OF_FRAMES = [
 ]
 
 ROOMS = {
-    "records": RECORDS,
-    "measure": MEASURE,
-    "detector": DETECTOR,
-    "photometry, psf": STARS_OF_FRAMES,
-    "attitude": ATTITUDE,
-    "cameras": CAMERAS,
-    "fitting": FITTING,
-    "directional": DIRECTIONAL,
-    "calibration": CALIBRATION,
-    "accuracy": ACCURACY,
-}
+    "records": RECORDS, "measure": MEASURE, "detector": DETECTOR, "photometry, psf": STARS_OF_FRAMES,
+    "attitude": ATTITUDE, "cameras": CAMERAS, "fitting": FITTING, "directional": DIRECTIONAL,
+    "calibration": CALIBRATION, "accuracy": ACCURACY,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(

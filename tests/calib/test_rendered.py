@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from star_images import image_of
 
 from calib.measure.centroiders.epsf import EpsfCentroider
 from calib.measure.stamps import extract_stamps
-from calib.records import NoiseModel, SensorImage
 
 
 @pytest.fixture(scope="module")
@@ -48,10 +48,7 @@ def test_positions_are_the_bundle_means(rendered):
     """Within 2e-4 px: 1e-4 for photon centroid against bundle (renderer), the rest for S-curve and cut wings."""
     image, psfs = rendered
     electrons = image.electrons[:, :, 0].astype(float)
-    shape = electrons.shape
-    sensor = SensorImage(
-        dn=electrons, valid=np.ones(shape, bool), saturated=np.zeros(shape, bool), noise=NoiseModel(read_noise_e=5.0)
-    )
+    sensor = image_of(electrons)
     truth_x, truth_y = image.truth.bundle_x_px[:, 0], image.truth.bundle_y_px[:, 0]
     stamps = extract_stamps(sensor, truth_x + 0.1, truth_y - 0.1, background=0.0)
     stamps = replace(stamps, psf_index=np.arange(36))

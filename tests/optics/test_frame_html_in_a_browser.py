@@ -17,13 +17,9 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="nee
 WIDTH, HEIGHT = 600, 300
 IMAGE = np.random.default_rng(6).integers(90, 120, (HEIGHT, WIDTH)).astype(np.uint16)
 IMAGE[20, 30], IMAGE[200, 500] = 4000, 3000
-TRUE = Marks(
-    name="true stars",
-    x_px=np.array([30.25, 500.0]),
-    y_px=np.array([20.0, 200.0]),
-    label=["2.0", "3.5"],
-    columns={"light [e-]": np.array([9000.0, 7000.0])},
-)
+LIGHT = {"light [e-]": np.array([9000.0, 7000.0])}
+PLACE = {"x_px": np.array([30.25, 500.0]), "y_px": np.array([20.0, 200.0])}
+TRUE = Marks(name="true stars", **PLACE, label=["2.0", "3.5"], columns=LIGHT)
 MEASURED = Marks(name="measured stars", x_px=TRUE.x_px + 0.1, y_px=TRUE.y_px, shape="square", colour="#4aa3df")
 PAGE = frame_page(
     IMAGE,

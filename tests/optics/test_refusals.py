@@ -79,39 +79,27 @@ def thermal_shift() -> Any:
 PLATE = plate_lens()
 RAYS = [
     *rows(DomainError, find_ghosts, (PLATE, AXIS, {"detector_reflectance": 1.2}, ["detector_reflectance = 1.2", "1"])),
-    *rows(
-        DomainError,
-        with_cover_glass,
+    *rows(DomainError, with_cover_glass,
         (PLATE, "N-BK7", -1.0, 2.0, {}, ["-1 mm", "must be positive"]),
-        (PLATE, "N-BK7", 40.0, 30.0, {}, ["no room", "40 mm"]),
-    ),
+        (PLATE, "N-BK7", 40.0, 30.0, {}, ["no room", "40 mm"])),
     *rows(DomainError, ghost_irradiance, (PLATE, [1.0, 0.0, 0.0], (5.0, 5.0), {}, ["90 deg"])),
     *rows(DomainError, scattered, ([0.0, 0.0, -1.0], {}, ["90 deg"]), (AXIS, 5, {}, ["surface 5"])),
-    *rows(
-        DomainError,
-        paraxial,
+    *rows(DomainError, paraxial,
         (tilt(CAMERA, "L2", 0.1), {}, ["tilted or decentred"]),
         (decentre(CAMERA, "L2", 0.1), {}, ["decentred"]),
-        (replace(CAMERA, surfaces=CAMERA.surfaces[:1]), {}, ["no refracting or reflecting surface"]),
-    ),
+        (replace(CAMERA, surfaces=CAMERA.surfaces[:1]), {}, ["no refracting or reflecting surface"])),
     *rows(DomainError, image_of, (CAMERA, paraxial(CAMERA).front_focus_z_mm, {}, ["front focal plane"])),
     *rows(DomainError, lens_performance, (CAMERA, [1.0, 2.0], [600.0], {}, ["1 deg", "relative to field 0"])),
-    *rows(
-        DomainError,
-        photocentres,
+    *rows(DomainError, photocentres,
         ([1.0], {}, ["spectrum of shape (1, 1)", "(s, 2)"]),
-        *((bad, {}, ["negative, not finite or without light"]) for bad in ([1.0, -1.0], [0.0, 0.0], [1.0, NAN])),
-    ),
+        *((bad, {}, ["negative, not finite or without light"]) for bad in ([1.0, -1.0], [0.0, 0.0], [1.0, NAN]))),
     *rows(DomainError, sobol_disk, (1000, {"seed": 1}, ["1000 Sobol points", "power of two"])),
     *rows(DomainError, gauss_disk, (0, 4, {}, ["0 rings x 4 arms", "at least 1 x 1"])),
     *rows(ConvergenceError, entrance_pupil, (decentre(GAUSS, "L6", 60.0), {}, ["no ray of any field"])),
     *rows(ConvergenceError, spot_moments, (GAUSS, [40.0], [0.0], 600.0, {}, ["no ray"])),
-    *rows(
-        DomainError,
-        spot_moments,
+    *rows(DomainError, spot_moments,
         (CAMERA, [[0.0]], [[0.0]], 600.0, {}, ["shape (1, 1)", "one-dimensional"]),
-        (CAMERA, 0.0, 0.0, 3000.0, {}, ["3000 nm", "2500 nm"]),
-    ),
+        (CAMERA, 0.0, 0.0, 3000.0, {}, ["3000 nm", "2500 nm"])),
     *rows(DomainError, distortion_map, (CAMERA, {"count": 1}, ["1 x 1", "at least 2 x 2"])),
     *rows(DomainError, lateral_colour, (CAMERA, 1.0, 0.0, 600.0, {"of": "centroid"}, ["'centroid'", "'chief'"])),
     *rows(ConvergenceError, polychromatic_spots, (GAUSS, [0.0, 40.0], [0.0, 0.0], [600.0], [1.0], {}, ["no light"])),
@@ -119,15 +107,12 @@ RAYS = [
     *rows(DomainError, thermal_shift, ({}, ["outside the field", "0.07"])),
     *rows(DomainError, thermal_sensitivity, (CAMERA, HOUSING, {"count": 3}, ["3 x 3 stars", "at least 6"])),
     *rows(ConvergenceError, thermal_sensitivity, (CAMERA, HOUSING, {"step_k": 60.0}, ["60 and 120 K", "smaller"])),
-    *rows(
-        DomainError,
-        ray,
+    *rows(DomainError, ray,
         ([0.0, 0.0, -1.0], {}, ["does not travel towards the lens"]),
         (AXIS, NAN, {}, ["not finite"]),
-        ([0.0, 1.0], {}, ["shape (2,)", "(..., 3)"]),
-    ),
+        ([0.0, 1.0], {}, ["shape (2,)", "(..., 3)"])),
     *rows(DomainError, trace, (CAMERA, ray(wavelength_nm=250.0), {}, ["250 nm is outside"])),
-]
+]  # fmt: skip
 
 
 def masked_map() -> Any:
@@ -196,24 +181,18 @@ def written(read: Callable[[Path], Any], name: str, kind: type[Exception], *case
 
 GAP = band([500.0, 510.0, 520.0, 680.0, 690.0, 700.0], [0.0, 1.0, 0.0, 0.0, 1.0, 0.0])
 LIGHT = [
-    *rows(
-        DomainError,
-        top_hat,
+    *rows(DomainError, top_hat,
         ({"width_nm": 0.0}, ["width 0 nm"]),
         ({"centre_nm": NAN}, ["centre nan nm"]),
         ({"edge_nm": 101.0}, ["edge 101 nm", "0 ... 100 nm"]),
         ({"peak": 1.5}, ["1.5", "0 ... 1"]),
         ({"peak": 0.0}, ["0 excluded"]),
-        ({"centre_nm": 40.0}, ["below 0 nm"]),
-    ),
-    *rows(
-        DomainError,
-        band,
+        ({"centre_nm": 40.0}, ["below 0 nm"])),
+    *rows(DomainError, band,
         ([600.0, 500.0], [0.5, 0.5], {}, ["500 nm follows 600 nm", "must increase"]),
         ([500.0, 600.0], [0.5, 1.1], {}, ["value 1.1 at 600 nm"]),
         ([500.0, 600.0], [NAN, 0.5], {}, ["nan"]),
-        ([500.0, 600.0], [0.0, 0.0], {}, ["opaque"]),
-    ),
+        ([500.0, 600.0], [0.0, 0.0], {}, ["opaque"])),
     *rows(ConfigError, band, ([1.0, 2.0], [1.0, 1.0], "", {}, ["source"])),
     *rows(ConfigError, band_nodes, ([], 4, {}, ["no band"])),
     *rows(DomainError, band_nodes, ([top_hat()], 0, {}, ["0 nodes"]), ([GAP], 5, {}, ["opaque at 600 nm", "5 nodes"])),
@@ -237,18 +216,12 @@ LIGHT = [
     ),
     ("band file", lambda folder: load_band(folder / "absent.csv"), ConfigError, ["absent.csv: no such file"]),
     *rows(ConfigError, magnitudes.photon_rate, (STAR, 0.0, {"wavelength_nm": 550.0, "system": "B"}, ["known: G, V"])),
-    *rows(
-        DomainError,
-        magnitudes.photon_rate,
+    *rows(DomainError, magnitudes.photon_rate,
         (STAR, [1.0, NAN], {"wavelength_nm": 550.0}, ["magnitude nan"]),
         (STAR, 0.0, {"wavelength_nm": -550.0}, ["-550 nm", "outside 1"]),
-        (sed([500.0, 600.0], np.ones(2)), 0.0, {"wavelength_nm": 550.0}, ["500 to 600 nm", "470 ... 700 nm"]),
-    ),
-    *rows(
-        DomainError,
-        magnitudes.synthetic_magnitude,
-        (sed([300.0, 900.0, 1100.0], [0.0, 0.0, 1.0]), {}, ["no light in the V passband"]),
-    ),
+        (sed([500.0, 600.0], np.ones(2)), 0.0, {"wavelength_nm": 550.0}, ["500 to 600 nm", "470 ... 700 nm"])),
+    *rows(DomainError, magnitudes.synthetic_magnitude,
+        (sed([300.0, 900.0, 1100.0], [0.0, 0.0, 1.0]), {}, ["no light in the V passband"])),
     *written(
         pst.read_pst, "pst.csv", ConfigError,
         ("angle_deg\n10\n", "no PST column"),
@@ -270,53 +243,38 @@ LIGHT = [
     *rows(DomainError, Particles, ({"level": 300.0, "wavelength_nm": 600.0, "forward": 1.5}, ["forward = 1.5"])),
     *rows(DomainError, Blackbody, *(({"temperature_k": t}, [f"{t:g} K"]) for t in (0.0, NAN))),
     *rows(DomainError, STAR.photon_density, (NAN, {}, ["nan nm"])),
-    *rows(
-        DomainError,
-        sed,
+    *rows(DomainError, sed,
         ([500.0, 400.0], [1.0, 1.0], {}, ["400 nm follows 500 nm"]),
         ([400.0, 500.0], [1.0, -1.0], {}, ["value -1 at 500 nm"]),
         ([400.0, 500.0], [1.0, NAN], {}, ["nan"]),
         ([400.0, 500.0], [0.0, 0.0], {}, ["zero everywhere"]),
         ([400.0, 500.0], [1.0], {}, ["shape"]),
         ([400.0], [1.0], {}, ["two points"]),
-        ([-5.0, 500.0], [1.0, 1.0], {}, ["-5 nm is not positive"]),
-    ),
+        ([-5.0, 500.0], [1.0, 1.0], {}, ["-5 nm is not positive"])),
     *rows(ConfigError, sed, ([400.0, 500.0], [1.0, 1.0], "watt", {}, ["'watt'", "neither 'photon' nor 'power'"])),
     *rows(ConfigError, sed, ([400.0, 500.0], [1.0, 1.0], "power", "", {}, ["source"])),
     *rows(DomainError, sed([400.0, 500.0], [1.0, 1.0]).photon_density, (600.0, {}, ["600 nm", "400 ... 500 nm"])),
     *rows(ConfigError, lens_transmission, ("star_camera", 550.0, {}, ["a lens or a layout is needed, got str"])),
-    *rows(
-        DomainError,
-        lens_transmission,
+    *rows(DomainError, lens_transmission,
         (layout(), 550.0, {}, ["no internal transmittance"]),
-        (layout(media=(get_glass("N-BK7"), None)), 250.0, {}, ["N-BK7: wavelength 250 nm"]),
-    ),
+        (layout(media=(get_glass("N-BK7"), None)), 250.0, {}, ["N-BK7: wavelength 250 nm"])),
     *rows(DomainError, layout, (1.5, -1.0, {}, ["-1 mm is negative"]), ({"media": (None,)}, ["shape (2,)"])),
     *rows(DomainError, QuarterWave, ({"design_wavelength_nm": 100.0}, ["MgF2: wavelength 100 nm"])),
     *rows(ConfigError, response, ([0.5, 0.5], "", {}, ["source"])),
     *rows(DomainError, response, ([0.5, 1.5], {}, ["outside 0 ... 1"])),
-    *rows(
-        DomainError,
-        response([0.2, 0.8]).interpolate,
+    *rows(DomainError, response([0.2, 0.8]).interpolate,
         ([500.0, 701.0], {}, ["qe: wavelength 701 nm is outside 400 ... 700 nm"]),
-        ("green", {}, ["not a number in nm"]),
-    ),
+        ("green", {}, ["not a number in nm"])),
 ]  # fmt: skip
 
 FRAMES = [
-    *rows(
-        DomainError,
-        field_direction,
-        *((*angles, {}, ["field angle", "-90 and 90 deg"]) for angles in ((90.0, 0.0), (0.0, -120.0), (NAN, 0.0))),
-    ),
+    *rows(DomainError, field_direction,
+        *((*angles, {}, ["field angle", "-90 and 90 deg"]) for angles in ((90.0, 0.0), (0.0, -120.0), (NAN, 0.0)))),
     *rows(DomainError, field_angles_deg, ([0.0, 0.0, -1.0], {}, ["behind the camera"])),
-    *rows(
-        DomainError,
-        attitude_from_angles,
+    *rows(DomainError, attitude_from_angles,
         (0.0, 91.0, {}, ["91 deg", "outside -90 ... 90"]),
-        (NAN, 0.0, {}, ["must be finite"]),
-    ),
-]
+        (NAN, 0.0, {}, ["must be finite"])),
+]  # fmt: skip
 
 ROOMS = {**LENS_ROOMS, "rays": RAYS, "waves": WAVES, "light": LIGHT, "frames": FRAMES}
 

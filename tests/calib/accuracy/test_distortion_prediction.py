@@ -123,13 +123,3 @@ def test_the_map_error_of_a_wide_lens_is_predicted_for_every_camera(reference):
     left_out = distortion.deleted_rms_px(position, offset, ORDER, reference)
     assert expected.bias_px.min() > 1.2 * left_out[0].max()
     assert np.isnan(left_out[1]).all()  # four rows do not test a cubic: without one of them it is arbitrary
-
-
-def test_a_cubic_map_follows_a_cubic_lens():
-    position, field = grid(5, 6), grid(8, 12)
-    cubic = [3.0 * at * (at**2).sum(1, keepdims=True) - 0.7 * at[:, ::-1] ** 2 for at in (position, field)]
-    for reference in distortion.REFERENCES:
-        found = expected_map_error(
-            position, cubic[0], field, cubic[1], order=3, reference=reference, point_error_px=0.0
-        )
-        assert found.rms_px.max() < 1e-9

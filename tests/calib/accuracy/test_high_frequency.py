@@ -57,16 +57,6 @@ def test_the_jackknife_gives_the_scatter_from_one_set_of_stars_to_the_next():
     np.testing.assert_allclose(estimate, scatter, rtol=0.25)  # 200 runs: 5 % each, and the jackknife's bias upwards
 
 
-def test_degrees_of_freedom_of_correlated_steps():
-    """Scatter of a sum of squares is sqrt(2 / degrees): of five stars in 12 steps that share half with the next one."""
-    rng, free = np.random.default_rng(4), 5
-    drawn = rng.standard_normal((4000, 13, free))
-    left = drawn[:, 1:] + drawn[:, :-1]
-    square = (left**2).sum((1, 2))
-    degrees = 1.0 / np.mean([1.0 / high_frequency._degrees(one, free) for one in left])
-    assert degrees == pytest.approx(2.0 * square.mean() ** 2 / square.var(), rel=0.08)
-
-
 POSITIONS, POSITION_STARS, FRAMES, RUNS = 8, 16, 10, 250
 
 

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from calibration_scene import CAMERA, GEOMETRY
+from measured_frames import measured_frame
 from scipy.spatial.transform import Rotation
 from star_directions import sky_directions
 
@@ -30,20 +31,7 @@ def measured(sky, *, sigma_px=0.05, common_px=0.0, false=10, seed=0):
     row = np.flatnonzero(CAMERA.visible(v))
     place = CAMERA.project(v[row]) + rng.normal(0.0, np.hypot(sigma_px, common_px), (len(row), 2))
     place = np.vstack([place, rng.uniform(0, 1023, (false, 2))])
-    n = len(place)
-    covariance = np.zeros((n, 3, 3))
-    covariance[:] = np.diag([sigma_px**2, sigma_px**2, 1.0])
-    stars = StarTable(
-        x_px=place[:, 0],
-        y_px=place[:, 1],
-        flux_e=rng.uniform(1e3, 1e4, n),
-        background_e=np.zeros(n),
-        covariance=covariance,
-        chi2=np.ones(n),
-        iterations=np.ones(n, np.int64),
-        flags=np.zeros(n, np.uint32),
-    )
-    return stars, row
+    return measured_frame(place, flux_e=rng.uniform(1e3, 1e4, len(place)), sigma_px=sigma_px).stars, row
 
 
 def solved(sky, stars, near):
@@ -153,9 +141,7 @@ def test_flagged_stars_do_not_vote():
     stars, row = measured(sky, false=0)
     flags = np.zeros(len(stars), np.uint32)
     flags[:3] = [int(StarFlag.BLEND), int(StarFlag.SATURATED), int(StarFlag.SPIKE)]
-    flagged = StarTable(
-        **{name: getattr(stars, name) for name in StarTable.__dataclass_fields__ if name != "flags"}, flags=flags
-    )
+    flagged = replace(stars, flags=flags)
     assert 2 not in identify_stars(flagged, CAMERA, sky, near=TRUTH).detected  # a spike is no star
     one = solved(sky, flagged, TRUTH)
     assert not set(one.detected) & {0, 1, 2}

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from star_directions import sky_directions
+from star_images import frame_of as drawn_frame
 
 from calib import BrownConrady, SensorGeometry, find_stars
 from calib.attitude.tracker import StarTracker, guide_catalogue, sky_coverage, unlike_stars
 from calib.measure.centroiding.gaussian import draw_gaussian
 from optics.attitude import attitude_error_arcsec, attitude_from_angles
 from optics.stellar_aberration import aberrated
-from render.records import Frame
 
 SIDE, READ_E, GAIN, OFFSET = 256, 5.0, 1.0, 100
 GEOMETRY = SensorGeometry(width_px=SIDE, height_px=SIDE, pixel_pitch_mm=0.01)
@@ -47,18 +47,8 @@ def frame_of(sky, attitude, *, seed, velocity=None, extra=()):
         light[y, x] += electrons
     rng = np.random.default_rng(seed)
     dn = rng.poisson(light) * GAIN + rng.normal(OFFSET, READ_E, light.shape)
-    bad = np.zeros(light.shape, bool)
-    return Frame(
-        dn=np.clip(np.rint(dn), 0, 65535).astype(np.uint16),
-        saturated=bad,
-        defect=bad,
-        gain_dn_per_e=GAIN,
-        offset_dn=OFFSET,
-        read_noise_e=READ_E,
-        exposure_s=0.1,
-        band="",
-        index=seed,
-    )
+    dn = np.clip(np.rint(dn), 0, 65535).astype(np.uint16)
+    return drawn_frame(dn, gain_dn_per_e=GAIN, offset_dn=OFFSET, read_noise_e=READ_E)
 
 
 def at(time_s):

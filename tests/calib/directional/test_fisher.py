@@ -1,8 +1,4 @@
-"""Rationale: sigma of a star vector is read off 1 - R, a number of 1e-11 and less; and off an interval.
-
-Expected behaviour: no digit is lost at any concentration, the estimators have the bias that theory gives them, the
-interval covers, and another library agrees where it still works.
-"""
+"""Fisher distribution at any concentration: digits of 1 - R, bias of the estimators, intervals, and SciPy's fit."""
 
 from decimal import Decimal, getcontext
 

@@ -1,7 +1,4 @@
-"""Rationale: an interval is only worth what its distribution is worth.
-
-Expected behaviour: good samples are refused as often as stated, bad ones are seen, and outliers do not hide each other.
-"""
+"""Checks of the distribution: good samples refused as often as stated, bad ones seen, outliers found together."""
 
 import numpy as np
 import pytest

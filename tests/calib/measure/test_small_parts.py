@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from star_images import image_of
 
 from calib.flags import StarFlag
 from calib.measure.background import _clipped_statistics
@@ -9,7 +10,6 @@ from calib.measure.centroid_error.prediction import CentroidErrors
 from calib.measure.detection.matched_filter import _flag_maxima
 from calib.measure.epsf.build import _Grid
 from calib.measure.targets.circle_fit import _circles, _distances
-from calib.records import NoiseModel, SensorImage
 
 
 def test_errors_of_a_centroider_add_in_quadrature():
@@ -69,20 +69,9 @@ def test_a_defect_beside_a_star_on_the_border_is_flagged(at):
     light, valid = np.ones((9, 9)), np.ones((9, 9), bool)
     along = (at[0], at[1] + 1) if at[0] in (0, 8) else (at[0] + 1, at[1])
     valid[along] = False
-    given = {"dn": light, "valid": valid, "saturated": np.zeros((9, 9), bool), "noise": NoiseModel(read_noise_e=1.0)}
-    for image, flagged in (
-        (SensorImage(**given, source="t"), True),
-        (SensorImage(**given | {"valid": valid | True}, source="t"), False),
-    ):
-        regions = np.ones((9, 9), np.int64)
-        _, flags = _flag_maxima(
-            image,
-            light=light,
-            regions=regions,
-            filtered=light,
-            x=np.array([at[1]]),
-            y=np.array([at[0]]),
-            spike_fraction=0.9,
-        )
+    given = {"light": light, "regions": np.ones((9, 9), np.int64), "filtered": light, "spike_fraction": 0.9}
+    for usable, flagged in ((valid, True), (valid | True, False)):
+        image = image_of(light, valid=usable)
+        _, flags = _flag_maxima(image, **given, x=np.array([at[1]]), y=np.array([at[0]]))
         assert bool(flags[0] & int(StarFlag.DEFECT)) is flagged
         assert flags[0] & int(StarFlag.EDGE)

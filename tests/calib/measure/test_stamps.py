@@ -78,18 +78,9 @@ def test_windowed_readout():
     defect[1, 0, 0] = True
     saturated = np.zeros((frames, windows, 11, 11), bool)
     saturated[2, 0, 5, 5] = True
-    stack = WindowStack(
-        dn=np.broadcast_to(dn, (frames, windows, 11, 11)),
-        saturated=saturated,
-        defect=defect,
-        corner_px=corner,
-        gain_dn_per_e=0.5,
-        offset_dn=100.0,
-        read_noise_e=4.0,
-        exposure_s=0.1,
-        band="V",
-        first_index=0,
-    )
+    pixels = {"dn": np.broadcast_to(dn, saturated.shape), "saturated": saturated, "defect": defect, "corner_px": corner}
+    detector = {"gain_dn_per_e": 0.5, "offset_dn": 100.0, "read_noise_e": 4.0}
+    stack = WindowStack(**pixels, **detector, exposure_s=0.1, band="V", first_index=0)
     start = corner + np.array([[5.0, 5.0], [5.3, 4.8]])
     stamps, noise = stamps_from_windows(stack, start)
     assert noise.read_noise_e == 4.0

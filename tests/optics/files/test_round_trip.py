@@ -27,21 +27,12 @@ MIRRORS = [
     {"kind": "even_asphere", "radius_mm": -900.0, "conic": 1.0, "asphere": [1e-9, 0.0, 3e-16], "thickness_mm": 50.0,
      "medium": "mirror", "semi_diameter_mm": 40.0},
 ]  # fmt: skip
+GLASS = {"source": "made up", "formula": "shifted_sellmeier", "range_nm": [400.0, 900.0]}
 FOLDED = {
-    "name": "folded",
-    "source": "made up",
-    "design_wavelength_nm": 600.0,
-    "max_field_deg": 2.0,
+    **TABLE_HEAD,
     "surface": MIRRORS,
     "image": {"tilt_deg": [2.0, 1.0], "decentre_mm": [0.1, 0.2]},
-    "glass": {
-        "own glass": {
-            "source": "made up",
-            "formula": "shifted_sellmeier",
-            "coefficients": [0.0, 1.25, 0.012],
-            "range_nm": [400.0, 900.0],
-        }
-    },
+    "glass": {"own glass": {**GLASS, "coefficients": [0.0, 1.25, 0.012]}},
 }
 
 

@@ -219,14 +219,10 @@ def test_thick_elements_with_a_radial_gradient_of_the_index(radii, thickness):
 
     def power(n0, n2):
         g = np.sqrt(complex(-2.0 * n2 / n0)) or 1e-12
-        rod = np.array(
-            [
-                [np.cos(g * thickness), np.sin(g * thickness) / (n0 * g)],
-                [-n0 * g * np.sin(g * thickness), np.cos(g * thickness)],
-            ]
-        )
+        c, s = np.cos(g * thickness), np.sin(g * thickness)
+        rod = np.array([[c, s / (n0 * g)], [-n0 * g * s, c]])
         front, back = (
-            np.array([[1.0, 0.0], [-(s * (n0 - 1.0)) / r, 1.0]]) for s, r in zip((1.0, -1.0), radii, strict=True)
+            np.array([[1.0, 0.0], [-(sign * (n0 - 1.0)) / r, 1.0]]) for sign, r in zip((1.0, -1.0), radii, strict=True)
         )
         return -(back @ rod @ front)[1, 0].real
 

@@ -61,8 +61,6 @@ def test_rays_agree_with_batoid(name, change):
             }
             for quantity, (theirs, ours) in pairs.items():
                 worst[quantity] = max(worst[quantity], np.abs(np.subtract(theirs, ours))[:, ok].max())
-    print(f"{name}, {change.__name__}: worst point {worst['point']:.1e} mm, direction {worst['direction']:.1e}, "
-          f"path {worst['path']:.1e} mm")  # fmt: skip
     assert worst["point"] < 1e-9
     assert worst["direction"] < 1e-12
     assert worst["path"] < 1e-9

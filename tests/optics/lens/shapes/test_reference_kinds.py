@@ -1,7 +1,4 @@
-"""Where rays meet surfaces, and their normals, against optiland's geometries, which iterate in their own way.
-
-Its biconic is another surface (a sum of two conics), not that of design programs.
-"""
+"""Where rays meet surfaces, and their normals, against optiland's geometries, which iterate in their own way."""
 
 import warnings
 
