@@ -16,7 +16,7 @@ from calib.measure.centroid_error.expected_windows import ExpectedWindows, drawn
 from experiments.budget.laboratory import BudgetLaboratory
 from experiments.harness.sections import Section, col
 from experiments.harness.summary import Measured, measured
-from experiments.laboratory.bench.centroid_methods import has_own_epsf, needs_measured_epsf
+from experiments.laboratory.bench.centroid_methods import has_matched_epsf, needs_measured_epsf
 from experiments.laboratory.bench.point_bench import centroiders, session_centroiders
 from experiments.laboratory.bench.points import filter_scene
 from experiments.laboratory.bench.ray_prediction import bundle_prediction, target_windows
@@ -78,7 +78,7 @@ def trace_target(lab: BudgetLaboratory, *, coarse: bool = False) -> TracedTarget
     bench, instrument = lab.filtered, lab.instrument
     direction = corner_directions(bench.target, instrument)
     psf: list[list[list[EffectivePsf]]] = []
-    if not all(has_own_epsf(method) for method in bench.methods):
+    if not all(has_matched_epsf(method) for method in bench.methods):
         scene, size = filter_scene(bench, instrument, by_grid=not coarse), bench.window_px // 2 + 2
         if coarse:
             psf = [scene.filter_psfs(points[len(points) // 2][None], size) * len(points) for points in direction]
@@ -93,7 +93,7 @@ def predicted_terms(
     """By centroider: positions by ray trace, or by the centroider on PSFs with noise."""
     corners, points, *_ = traced.position_px.shape
     exact = CentroidedTarget(traced.position_px, np.zeros_like(traced.position_px), None)
-    biased = [method for method in lab.filtered.methods if not has_own_epsf(method)]
+    biased = [method for method in lab.filtered.methods if not has_matched_epsf(method)]
     windows = _corner_windows(lab, traced, defect) if biased else []
     terms = {}
     for method in lab.filtered.methods:

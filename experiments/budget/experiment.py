@@ -256,7 +256,7 @@ def axes(config: BudgetConfig) -> Quantities:
     q.axis("tested", list(TESTED), "Term")
     q.axis("aimed", list(AIMED), "Term")
     q.axis("axis", ["x", "y"], "Axis")
-    labels = MethodLabels(own="simulator's PSF", measured="PSF from frames")
+    labels = MethodLabels(matched="simulator's PSF", measured="PSF from frames")
     q.axis("method", list(config.methods), "Centroider", names=labels)
     return q
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.accuracy.error_budget import ErrorTerm
 from experiments.budget.settings import BudgetConfig, MovedConfig
-from experiments.laboratory.bench.centroid_methods import has_own_epsf
+from experiments.laboratory.bench.centroid_methods import has_matched_epsf
 from experiments.laboratory.bench.checks import check_light
 from experiments.laboratory.bench.point_bench import Bench
 from experiments.laboratory.bench.points import point_scene
@@ -162,7 +162,7 @@ def psfs(lab: BudgetLaboratory, bench: Bench, target: str, direction: FloatArray
 
 def rendered_once(lab: BudgetLaboratory, bench: Bench, target: str, make: Callable[[], Any]) -> Any:
     """Anything that depends on the light alone: a sweep over the read noise renders it once."""
-    without_psf = all(has_own_epsf(method) for method in bench.methods)  # the chromatic target is traced alone then
+    without_psf = all(has_matched_epsf(method) for method in bench.methods)  # the chromatic target is traced alone then
     camera = repr((lab.instrument.camera, lab.instrument.camera.lens.surfaces))  # files may change under one name
     key = (target, without_psf, camera, lab.config.model_dump_json(exclude=_NO_LIGHT))
     if key not in _CACHE:

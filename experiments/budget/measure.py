@@ -22,7 +22,7 @@ from experiments.laboratory.bench.epsf_session import epsf_session, measured_eps
 from experiments.laboratory.bench.points import point_scene
 from experiments.laboratory.distortion_error import measure_distortion
 from experiments.laboratory.high_frequency import measure_high_frequency
-from experiments.laboratory.temporal_error import measure_temporal, target_place
+from experiments.laboratory.temporal_error import measure_temporal, star_target_directions
 from optics.arrays import FloatArray
 from render.engine.random import Streams
 
@@ -56,7 +56,7 @@ def measure_terms(
             lab.bench,
             instrument,
             lab.config.hexapod,
-            psf=scene.psfs(target_place(lab.bench, instrument)),
+            psf=scene.psfs(star_target_directions(lab.bench, instrument)),
             streams=root.child("ePSF"),
             scene=scene,
             advance=advance,

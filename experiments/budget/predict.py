@@ -32,10 +32,10 @@ from experiments.budget.laboratory import (
 from experiments.budget.settings import BudgetConfig
 from experiments.laboratory.bench.centroid_methods import needs_measured_epsf
 from experiments.laboratory.bench.epsf_session import predicted_epsfs
-from experiments.laboratory.devices.targets import grid_directions
+from experiments.laboratory.devices.target import grid_directions
 from experiments.laboratory.distortion_model import marking_errors, predict_distortion
 from experiments.laboratory.high_frequency_model import predict_high_frequency
-from experiments.laboratory.temporal_error import predict_temporal, target_place
+from experiments.laboratory.temporal_error import predict_temporal, star_target_directions
 from optics.arrays import FloatArray
 from render.detector.maps import sensor_maps
 
@@ -74,7 +74,7 @@ def predict_terms(
 ) -> dict[str, PredictedTerms]:
     """Predict every term, by centroider."""
     config, instrument, seed = lab.config, lab.instrument, lab.config.seed
-    psf = psfs(lab, lab.bench, "place 0", target_place(lab.bench, instrument))
+    psf = psfs(lab, lab.bench, "place 0", star_target_directions(lab.bench, instrument))
     if any(needs_measured_epsf(method) for method in lab.bench.methods):
         sessions = predicted_epsfs(lab.bench, instrument, psf, seed=seed, sessions=2 if coarse else SESSIONS)
         lab = lab.with_epsf(sessions[0], sessions)
@@ -174,7 +174,7 @@ def _step_predictions(
             bench,
             instrument,
             lab.config.steps,
-            psf=psfs(lab, bench, f"place {number}", target_place(bench, instrument, centre_px)),
+            psf=psfs(lab, bench, f"place {number}", star_target_directions(bench, instrument, centre_px)),
             hexapod=lab.config.hexapod.model_copy(update={"step_error_arcsec": 0.0} if coarse else {}),
             place_px=centre_px,
             defect=defect,

@@ -21,7 +21,13 @@ from experiments.harness.progress import Progress
 from experiments.harness.quantities import Outcome, Quantities
 from experiments.harness.sections import Section, col, numbers_of
 from experiments.harness.what_if import REQUIREMENTS, Requirement, judge, missed_words
-from experiments.laboratory.sensor_prediction import Accuracy, CameraPrediction, Optics, Sky, predict_camera
+from experiments.laboratory.sensor_prediction import (
+    CameraPrediction,
+    Optics,
+    SkyPerformance,
+    StarAccuracy,
+    predict_camera,
+)
 from optics.arrays import FloatArray
 from optics.figures import draw_lens, draw_spots
 from render.field_response import FieldResponse
@@ -266,12 +272,12 @@ SECTIONS: Mapping[str, Section] = {
         record=Optics, table="optics", vertical=True, caption="Lens and detector, as configured."
     ),
     "accuracy": Section(
-        record=Accuracy,
+        record=StarAccuracy,
         table="accuracy",
         vertical=True,
         caption="The star of [star], one axis, one standard deviation, mean over the detector.",
     ),
-    "sky": Section(record=Sky, table="sky", vertical=True, caption="Detection, and the real sky (1σ)."),
+    "sky": Section(record=SkyPerformance, table="sky", vertical=True, caption="Detection, and the real sky (1σ)."),
     "fields": Section(
         record=Fields,
         axes=field_axes,

@@ -21,10 +21,10 @@ from experiments.harness.sections import Section, col, numbers_of
 from experiments.harness.system import shared
 from experiments.harness.what_if import Requirement, crossing, judge
 from experiments.laboratory.sensor_prediction import (
-    Accuracy,
     CameraPrediction,
     Optics,
-    Sky,
+    SkyPerformance,
+    StarAccuracy,
     longest_trail_px,
     optical_state,
     overridden_detector,
@@ -46,7 +46,7 @@ _NAMES = (
 )
 
 Limits = Mapping[str, tuple[float, bool]]
-Numbers = tuple[Optics, Accuracy, Sky]
+Numbers = tuple[Optics, StarAccuracy, SkyPerformance]
 
 
 def _values(found: Sequence[Numbers | None], prefix: str, names: Sequence[str] = _NAMES) -> dict[str, FloatArray]:

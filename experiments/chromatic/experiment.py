@@ -262,7 +262,7 @@ def axes(config: ChromaticConfig) -> Quantities:
     pairs = band_pairs(centres_nm, centres_nm.index(config.filters.reference_nm))
     q.axis("pair", [name for name, _, _ in pairs], "Bands", unit="nm")
     q.axis("axis", ["x", "y"], "Axis", names=["X", "Y"])
-    labels = MethodLabels(own="PSF of each filter", reference="PSF of the reference filter")
+    labels = MethodLabels(matched="PSF of each filter", reference="PSF of the reference filter")
     q.axis("method", list(config.methods), "Centroider", names=labels)
     steps = [step.replace(" ", "_") for step in CALIBRATIONS]
     q.axis("step", steps, "Calibration", names=["as measured", *list(CALIBRATIONS)[1:]])

@@ -27,7 +27,7 @@ from experiments.laboratory.bench.point_laboratory import (
     point_signal,
     prepared_scene,
 )
-from experiments.laboratory.devices.targets import grid_directions
+from experiments.laboratory.devices.target import grid_directions
 from experiments.laboratory.distortion_error import (
     DistortionMeasurement,
     dense_grid,

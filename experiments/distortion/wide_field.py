@@ -19,7 +19,7 @@ from experiments.harness.progress import Progress
 from experiments.harness.sections import Section, agree, col, ratio_near
 from experiments.harness.summary import measured
 from experiments.laboratory.bench.point_laboratory import point_laboratory, prepared_scene
-from experiments.laboratory.devices.targets import grid_directions
+from experiments.laboratory.devices.target import grid_directions
 from experiments.laboratory.distortion_error import DistortionMeasurement, grid_position, measure_distortion
 from experiments.laboratory.distortion_model import DistortionPrediction, marking_errors, predict_distortion
 from optics.arrays import FloatArray

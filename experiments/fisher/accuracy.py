@@ -53,8 +53,8 @@ from experiments.harness.summary import Measured
 from experiments.laboratory.devices.turntable import Turntable
 from experiments.laboratory.single_star.acquisition import (
     Acquisition,
-    Motion,
-    Places,
+    TableMotion,
+    TablePositions,
     acquire,
     place_psfs,
     smear_px,
@@ -140,10 +140,10 @@ def evaluation_px(config: Config, instrument: Instrument) -> FloatArray:
         raise DomainError(str(error).replace("grid.", "evaluation.")) from None
 
 
-def _motion(config: Config) -> Motion:
+def _motion(config: Config) -> TableMotion:
     dynamic = config.dynamic
     rate = dynamic.rate_deg_per_s * DEG_RAD
-    return Motion(rate_rad_per_s=rate, jitter_s=dynamic.jitter_ms * 1e-3, samples=dynamic.samples)
+    return TableMotion(rate_rad_per_s=rate, jitter_s=dynamic.jitter_ms * 1e-3, samples=dynamic.samples)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -165,7 +165,7 @@ class Calibrated:
         place = evaluation_px(self.config, self.instrument)
         return self.instrument.camera.nominal_direction(place[:, 0], place[:, 1], self.instrument.focal_length_mm)
 
-    def window_px(self, motion: Motion) -> int:
+    def window_px(self, motion: TableMotion) -> int:
         """Side of a window that holds the streak as well as a window at rest holds the star."""
         return self.config.window_px + 2 * int(np.ceil(smear_px(motion, self.instrument) / 2))
 
@@ -198,7 +198,7 @@ def _fitted(data: PoseData, table: Turntable, config: Config, instrument: Instru
     return calibration
 
 
-def acquisition(rig: Calibrated, name: str, motion: Motion, psfs: FloatArray) -> Acquisition:
+def acquisition(rig: Calibrated, name: str, motion: TableMotion, psfs: FloatArray) -> Acquisition:
     """One frame and one reading at every place of the evaluation."""
     config, own = rig.config, rig.streams.child(name)
     wanted, rolls = rig.wanted, np.radians(config.table.rolls_deg)
@@ -223,7 +223,7 @@ def _dimmed_star(rig: Calibrated) -> Any:
     return replace(build_star(rig.config, rig.instrument), signal_e=signal.signal_e)
 
 
-def _path_px(rig: Calibrated, places: Places) -> FloatArray:
+def _path_px(rig: Calibrated, places: TablePositions) -> FloatArray:
     """Path of the image (n, t, 2) about its mean, from readings and rate."""
     motion = places.motion
     if motion.rate_rad_per_s == 0.0:
@@ -490,7 +490,7 @@ def rendered(config: Config, instrument: Instrument, streams: Streams, progress:
         psfs = place_psfs(_dimmed_star(rig), rig.wanted, instrument, half)
         stage.advance()
         taken = []
-        for name, motion in zip(ACQUISITIONS, (Motion(), moving), strict=True):
+        for name, motion in zip(ACQUISITIONS, (TableMotion(), moving), strict=True):
             taken.append(acquisition(rig, name, motion, psfs))
             stage.advance()
     with progress.stage("evaluation (S300-S500)"):

@@ -11,14 +11,14 @@ from experiments.harness.config import Sorted
 from experiments.harness.experiment import Experiment
 from experiments.laboratory.settings.own_frames import or_own_frames
 from experiments.laboratory.settings.tables import SignalConfig
-from experiments.laboratory.single_star.settings import SingleStarConfig, TableConfig
+from experiments.laboratory.single_star.settings import SingleStarConfig, TurntableConfig
 from optics.settings import StrictModel
 
 
-def _table() -> TableConfig:
+def _table() -> TurntableConfig:
     # FISHER23 calls its table one "of high precision" and gives no number. Better than CUBE09's (0.3 and 0.4 arcsec),
     # with which the method would measure the table.
-    return TableConfig(axes="xy", reading_noise_arcsec=(0.10,), non_orthogonality_arcsec=(5.0,))
+    return TurntableConfig(axes="xy", reading_noise_arcsec=(0.10,), non_orthogonality_arcsec=(5.0,))
 
 
 class EvaluationConfig(SignalConfig):
@@ -71,7 +71,7 @@ class FieldConfig(StrictModel):
 class Config(SingleStarConfig):
     """Bench and equations of FISHER23, which states no numbers: camera of ACC18, turntable better than CUBE09's."""
 
-    table: TableConfig = Field(default_factory=_table)
+    table: TurntableConfig = Field(default_factory=_table)
     evaluation: EvaluationConfig = EvaluationConfig()
     dynamic: DynamicConfig = DynamicConfig()
     field: FieldConfig = FieldConfig()

@@ -35,7 +35,7 @@ from experiments.laboratory.devices.hexapod import step_path, turned
 from experiments.laboratory.high_frequency import HighFrequencyMeasurement, check_steps, measure_high_frequency
 from experiments.laboratory.high_frequency_model import HighFrequencyPrediction, predict_high_frequency
 from experiments.laboratory.settings.published import ACC18_ARCSEC, is_published_sensor
-from experiments.laboratory.temporal_error import target_place
+from experiments.laboratory.temporal_error import star_target_directions
 from optics.arrays import FloatArray
 from render.detector.maps import sensor_maps
 from render.engine.random import Streams
@@ -209,7 +209,7 @@ def run(config: HsfeConfig, *, progress: Progress) -> dict[str, Any]:
     """Step, read out, reduce, predict."""
     bench, instrument = point_laboratory(config, config.target)
     check_steps(config.steps, bench)
-    rest = target_place(bench, instrument, config.place_px)
+    rest = star_target_directions(bench, instrument, config.place_px)
     streams = Streams(config.seed).child("hsfe")
     path = step_path(config.hexapod, config.steps, instrument.pixel_arcsec, streams.generator("hexapod"))
     scene = prepared_scene(bench, instrument, turned(rest, path.true_rad), progress)

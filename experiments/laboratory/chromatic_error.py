@@ -22,56 +22,54 @@ from render.records import ExpectedImage
 from render.sensor_file.instrument import Instrument
 
 PATTERNS = 48
-"""Independent fixed patterns from which their effect on the centroids is predicted."""
+"""Drawn fixed patterns of the pixels from which their effect on the centroids is predicted."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChromaticMeasurement:
-    """Centroids and truth of one lens; p positions, j points, b filters."""
+    """Centroids and truth of a lens; p positions, j points, b filters, by method where a mapping."""
 
     direction: FloatArray  # (p, j, 3) Unit vectors in cam
-    nominal_px: FloatArray  # (p, j, 2) Where an ideal lens would image the points
-    photon_px: FloatArray  # (p, j, b, 2) Truth: mean of all light, in the window or beyond
-    pixels_px: FloatArray  # (p, j, b, 2) First moment of the noiseless pixels of the window, as rendered
-    mean_px: Mapping[str, FloatArray]  # (p, j, b, 2) Mean centroid over the frames, by method
+    nominal_px: FloatArray  # (p, j, 2) Images by an ideal lens
+    photon_px: FloatArray  # (p, j, b, 2) Truth: centroid of the noiseless image, within and outside the window
+    pixels_px: FloatArray  # (p, j, b, 2) First moment of the noiseless pixels of the window
+    mean_px: Mapping[str, FloatArray]  # (p, j, b, 2) Mean centroid over the frames
     sigma_px: Mapping[str, FloatArray]  # (p, j, b, 2) Standard deviation of a single frame's centroid
-    # (p, j, b, 2) The same as predicted, first method; without what moves all points of a position
-    noise_px: FloatArray
-    # (q, p, j, b, 2) Predicted effect of q fixed patterns on the centroids, common to the filters, by method
-    pattern_px: Mapping[str, FloatArray]
-    frames_used: NDArray[np.int64]  # (p, j, b) Frames that converged, first method
+    noise_px: FloatArray  # (p, j, b, 2) Its prediction for the main method, without motion of the line of sight
+    pattern_px: Mapping[str, FloatArray]  # (q, p, j, b, 2) Predicted effect of q fixed patterns, common to the filters
+    frames_used: NDArray[np.int64]  # (p, j, b) Frames that converged, main method
     rms_spot_um: FloatArray  # (b,) RMS spot radius of the traced bundles
     example: ExpectedImage  # Noiseless image of the first position
-    # Standard deviation per axis of the line of sight from frame to frame, the same for all points of a position
-    common_px: float = 0.0
+    common_px: float = 0.0  # Standard deviation per axis of the line of sight from frame to frame
 
     @property
     def common_mean_px(self) -> float:
-        """The same of the mean over the frames of a position."""
+        """Standard deviation of the mean line of sight over the frames of a position."""
         return float(self.common_px / np.sqrt(self.frames_used.mean()))
 
     def shift_sigma(self, pairs: Sequence[Pair], method: str) -> dict[str, FloatArray]:
         """Standard deviation (p, j, 2) of every shift, by pair of bands."""
-        sampled = self.sigma_px[method], self.frames_used, self.pattern_px[method]
-        return shift_sigma(*sampled, pairs, variance_fraction=self.noise_px**2 + self.common_px**2)
+        variance_px2 = self.noise_px**2 + self.common_px**2
+        errors = self.sigma_px[method], self.frames_used, self.pattern_px[method]
+        return shift_sigma(*errors, pairs, variance_fraction=variance_px2)
 
     def table1_sigma(self, pairs: Sequence[Pair], method: str) -> dict[str, FloatArray]:
-        """Standard deviation (2,) of an entry of Table 1, by pair; any method with its effect of fixed patterns."""
-        sampled = self.sigma_px[method], self.frames_used, self.pattern_px[method]
-        return table1_sigma(*sampled, pairs, common_px=self.common_mean_px)
+        """Standard deviation (2,) of an entry of Table 1, by pair of bands."""
+        errors = self.sigma_px[method], self.frames_used, self.pattern_px[method]
+        return table1_sigma(*errors, pairs, common_px=self.common_mean_px)
 
 
 class _FilterReadout(NamedTuple):
-    """The target at a position behind one filter."""
+    """The target at a position behind a filter."""
 
     light: PointLight
     frames: PointFrames
-    noise_px: FloatArray  # (j, 2) Predicted standard deviation of a frame, first method
+    noise_px: FloatArray  # (j, 2) Predicted standard deviation of a frame, main method
     pattern_px: dict[str, FloatArray]  # (q, j, 2) Predicted effect of fixed patterns
 
 
 def _read(
-    light: PointLight, bench: Bench, instrument: Instrument, streams: Streams, place: str, methods: Sequence[str]
+    light: PointLight, bench: Bench, instrument: Instrument, streams: Streams, position: str, methods: Sequence[str]
 ) -> _FilterReadout:
     frames = read_points(
         light,
@@ -80,11 +78,11 @@ def _read(
         streams=streams,
         motion_streams=streams.child(light.band),
         label=light.band,
-        where=f"{place} position, filter {light.band}",
+        where=f"{position} position, filter {light.band}",
     )
     centroiders, pixel = light.centroiders(bench), instrument.pixel_noise()
     gain = linear_response(tight(centroiders[bench.methods[0]]), frames.stamps, frames.noise, light.light_e)
-    shifts = {
+    pattern_px = {
         method: pattern_shifts_px(
             centroiders[method],
             frames.stamps,
@@ -97,7 +95,8 @@ def _read(
         )
         for method in methods
     }
-    return _FilterReadout(light, frames, np.sqrt(centroid_variance(gain, pixel.temporal_e2(light.light_e))), shifts)
+    noise_px = np.sqrt(centroid_variance(gain, pixel.temporal_e2(light.light_e)))
+    return _FilterReadout(light, frames, noise_px, pattern_px)
 
 
 def measure_chromatic(
@@ -109,43 +108,36 @@ def measure_chromatic(
     patterns: Sequence[str] = (),
     advance: Callable[[], None] = lambda: None,
 ) -> ChromaticMeasurement:
-    """Run the test on one lens; effects of fixed patterns are predicted for some methods, or for the first."""
-    scene, first = filter_scene(bench, instrument, by_grid=False), bench.methods[0]
-    points = corner_directions(bench.target, instrument) if directions is None else directions
-    cells, images = [], []
-    for place, direction in zip(CORNERS, points, strict=True):
-        here = streams.child(place)
-        lights, image = scene.lights(direction, here, place)
-        cells.append([_read(light, bench, instrument, here, place, patterns or (first,)) for light in lights])
+    """Run the test on a lens; ``patterns``: methods with predicted effects of fixed patterns, by default the main."""
+    scene, main = filter_scene(bench, instrument, by_grid=False), bench.methods[0]
+    patterns = patterns or (main,)
+    target = corner_directions(bench.target, instrument) if directions is None else directions
+    readouts, images = [], []
+    for position, direction in zip(CORNERS, target, strict=True):
+        position_streams = streams.child(position)
+        lights, image = scene.lights(direction, position_streams, position)
+        readouts.append([_read(light, bench, instrument, position_streams, position, patterns) for light in lights])
         images.append(image)
         advance()
 
-    def stacked(part: Callable[[_FilterReadout], NDArray[Any]], band: int = 1, place: int = 0) -> NDArray[Any]:
-        return np.stack([np.stack([part(cell) for cell in row], axis=band) for row in cells], axis=place)
+    def stacked(part: Callable[[_FilterReadout], Any]) -> NDArray[Any]:
+        """Arrays (..., j, 2) of every readout as (..., p, j, b, 2)."""
+        return np.stack([np.stack([part(readout) for readout in row], axis=-2) for row in readouts], axis=-4)
 
-    def by_method(
-        methods: Sequence[str], part: Callable[[_FilterReadout, str], FloatArray], *axes: int
-    ) -> dict[str, FloatArray]:
-        found = {}
-        for method in methods:
-
-            def of_method(cell: _FilterReadout, method: str = method) -> FloatArray:
-                return part(cell, method)
-
-            found[method] = stacked(of_method, *axes)
-        return found
-
+    mean_px = stacked(lambda readout: [readout.frames.mean_px(method) for method in bench.methods])
+    sigma_px = stacked(lambda readout: [readout.frames.sigma_px(method) for method in bench.methods])
+    pattern_px = stacked(lambda readout: [readout.pattern_px[method] for method in patterns])
     return ChromaticMeasurement(
-        direction=np.stack([row[0].light.direction for row in cells]),
-        nominal_px=np.stack([row[0].light.nominal_px for row in cells]),
-        photon_px=stacked(lambda cell: cell.light.photon_px),
-        pixels_px=stacked(lambda cell: cell.light.corner_px + centre_of_gravity(cell.light.light_e)),
-        mean_px=by_method(bench.methods, lambda cell, method: cell.frames.mean_px(method)),
-        sigma_px=by_method(bench.methods, lambda cell, method: cell.frames.sigma_px(method)),
-        noise_px=stacked(lambda cell: cell.noise_px),
-        pattern_px=by_method(patterns or (first,), lambda cell, method: cell.pattern_px[method], 2, 1),
-        frames_used=stacked(lambda cell: cell.frames.used(first)),
-        rms_spot_um=stacked(lambda cell: cell.light.spot_um).mean((0, 1)),
+        direction=target,
+        nominal_px=np.stack([row[0].light.nominal_px for row in readouts]),
+        photon_px=stacked(lambda readout: readout.light.photon_px),
+        pixels_px=stacked(lambda readout: readout.light.corner_px + centre_of_gravity(readout.light.light_e)),
+        mean_px=dict(zip(bench.methods, mean_px, strict=True)),
+        sigma_px=dict(zip(bench.methods, sigma_px, strict=True)),
+        noise_px=stacked(lambda readout: readout.noise_px),
+        pattern_px=dict(zip(patterns, pattern_px, strict=True)),
+        frames_used=stacked(lambda readout: readout.frames.used(main)[:, None])[..., 0],
+        rms_spot_um=np.mean([[readout.light.spot_um for readout in row] for row in readouts], axis=(0, 2)),
         example=images[0],
         common_px=bench.power_px2(instrument)[0] ** 0.5,
     )

@@ -18,7 +18,7 @@ from calib.accuracy.distortion import (
 from experiments.laboratory.bench.point_bench import Bench, one_filter
 from experiments.laboratory.bench.points import PointLight, PointScene, nominal_px, read_points, scene_of
 from experiments.laboratory.bench.ray_prediction import bundle_prediction
-from experiments.laboratory.devices.targets import grid_directions, survey
+from experiments.laboratory.devices.target import grid_directions, survey
 from experiments.laboratory.settings.tables import GridTargetConfig
 from optics.arrays import FloatArray
 from optics.records import freeze_all

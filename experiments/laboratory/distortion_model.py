@@ -33,7 +33,7 @@ from experiments.laboratory.bench.centroid_methods import needs_epsf
 from experiments.laboratory.bench.point_bench import Bench, centroiders, one_filter, session_centroiders
 from experiments.laboratory.bench.ray_prediction import target_windows
 from experiments.laboratory.bench.readout.frames import nominal_noise
-from experiments.laboratory.devices.targets import grid_directions
+from experiments.laboratory.devices.target import grid_directions
 from experiments.laboratory.distortion_error import grid_position, traced_bundles
 from experiments.laboratory.settings.tables import GridTargetConfig
 from optics.arrays import FloatArray

@@ -1,9 +1,9 @@
 """High spatial frequency error (ACC18 eq. 3-12) measured: small steps of a hexapod, causes switched off one by one.
 
-Every cause is measured twice on the same random streams: *alone* (a detector with only this cause, against one without
-any) and *switched off* (all causes, against all but this). Both are differences of mean centroids from frames with the
-same noise, which therefore largely cancels; its remainder (another rounding, another Poisson variate) is estimated from
-the scatter of the difference over the frames and subtracted.
+Every cause is measured twice on the same random streams: *alone* (a detector with only this cause, against a detector
+without any) and *switched off* (all causes, against all but this). Both are differences of mean centroids from frames
+with the same noise, which therefore largely cancels; the residual noise (different rounding and Poisson variates) is
+estimated from the scatter of the difference over the frames and subtracted.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from experiments.laboratory.bench.points import PointLight, PointScene, Subtract
 from experiments.laboratory.bench.readout.frames import nominal_noise
 from experiments.laboratory.devices.hexapod import step_path, turned
 from experiments.laboratory.settings.tables import HexapodConfig, StepConfig
-from experiments.laboratory.temporal_error import target_place
+from experiments.laboratory.temporal_error import star_target_directions
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from render.detector.spec import Detector
@@ -42,7 +42,7 @@ SWITCHES: Mapping[str, Mapping[str, float]] = {
     "pattern": {"dsnu_e": 0.0, "column_pattern_e": 0.0, "dark_spread_e_per_s": 0.0},
     "defects": {"hot_fraction": 0.0, "dead_fraction": 0.0},
 }
-"""What to set in a detector to switch a cause off."""
+"""Values of the detector with a cause switched off."""
 
 
 def check_steps(steps: StepConfig, bench: Bench) -> None:
@@ -56,18 +56,16 @@ def check_steps(steps: StepConfig, bench: Bench) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HighFrequencyMeasurement:
-    """Centroids of j stars at m positions in f frames, with every cause, and with some switched off."""
+    """Centroids of j stars at m positions in f frames, with all causes and with some switched off."""
 
     pixel_arcsec: float  # Angle of a pixel
-    photon_px: FloatArray  # (m, j, 2) Truth: mean of all light, in the window or beyond
+    photon_px: FloatArray  # (m, j, 2) Truth: centroid of the noiseless image, within and outside the window
     noiseless_px: Mapping[str, FloatArray]  # (m, j, 2) Centroids of the noiseless windows by method
     # (f, m, j, 2) Centroids by run and method: "all", "none", "only CAUSE", "without CAUSE"
     position_px: Mapping[str, Mapping[str, FloatArray]]
     corner_px: NDArray[np.int64]  # (m, j, 2) First pixels of the windows
-    moving: bool  # Whether the line of sight moves from frame to frame, all stars alike
-    # (m, 2, 2) What the stars have in common in the frames
-    # (`calib.measure.statistics.frame_positions.common_motion_px2`)
-    motion_px2: FloatArray
+    moving: bool  # Whether the line of sight moves from frame to frame
+    motion_px2: FloatArray  # (m, 2, 2) Motion common to the stars in the frames (`common_motion_px2`)
 
     @property
     def frames(self) -> int:
@@ -79,7 +77,7 @@ class HighFrequencyMeasurement:
         return frame_statistics(self.position_px[run][method])[0]
 
     def sigma_px(self, method: str) -> FloatArray:
-        """Standard deviation (m, j, 2) of a frame's centroid, without a motion that all stars have in common."""
+        """Standard deviation (m, j, 2) of a frame's centroid, without motion common to all stars."""
         position = self.position_px["all"][method]
         return sigma_without_common_motion_px(position) if self.moving else frame_statistics(position)[1]
 
@@ -96,8 +94,10 @@ class HighFrequencyMeasurement:
         return averaged_noise_px(self.sigma_px(method), self.frames)
 
     def effect_px(self, method: str, cause: str, *, alone: bool = True) -> tuple[FloatArray, FloatArray]:
-        """Effect of a cause on the mean centroids, acting alone, or missing when switched off, and the standard
-        deviation over the frames that does not cancel in it: (m, j, 2) each."""
+        """Effect of a cause on the mean centroids, and standard deviation of the difference over the frames.
+
+        Shapes (m, j, 2); ``alone``: the cause against none, otherwise all causes against all but this.
+        """
         if cause == "s_curve":
             return np.asarray(self.noiseless_px[method] - self.photon_px), np.zeros_like(self.photon_px)
         with_cause, without = (f"only {cause}", "none") if alone else ("all", f"without {cause}")
@@ -106,11 +106,11 @@ class HighFrequencyMeasurement:
         return np.asarray(effect), np.asarray(np.nanstd(difference, axis=0, ddof=1))
 
     def cause_px(self, method: str, cause: str, *, alone: bool = True) -> FloatArray:
-        """Part of a cause (2,) in the steps' RMS."""
+        """Contribution of a cause (2,) to the steps' RMS."""
         return step_rms_px(*self.effect_px(method, cause, alone=alone), self.frames)
 
     def cause_single_px(self, method: str, cause: str, *, alone: bool = True) -> FloatArray:
-        """Part of a cause (2,) in the error of a position."""
+        """Contribution of a cause (2,) to the error of a position."""
         return position_rms_px(*self.effect_px(method, cause, alone=alone), self.frames)
 
     def quadrature_px(self, method: str) -> FloatArray:
@@ -120,25 +120,27 @@ class HighFrequencyMeasurement:
 
     @property
     def motion_px(self) -> FloatArray:
-        """RMS (2,) of the true motion of the light in the steps: what hexapod and distortion leave in it."""
+        """RMS (2,) of the true motion of the light in the steps, mean over the stars removed: roll and distortion."""
         return step_rms_px(self.photon_px)
 
 
-def switched(detector: Detector, keep: Collection[str]) -> Detector:
-    """The same chip with every cause of `SWITCHES` off but those to ``keep``; patterns that stay are the same."""
-    off = {name: value for cause, values in SWITCHES.items() if cause not in keep for name, value in values.items()}
-    return replace(detector, **off)  # type: ignore[arg-type]
+def switched(detector: Detector, active: Collection[str]) -> Detector:
+    """The chip with every cause of `SWITCHES` off except ``active``, whose patterns do not change."""
+    changes = {
+        name: value for cause, values in SWITCHES.items() if cause not in active for name, value in values.items()
+    }
+    return replace(detector, **changes)  # type: ignore[arg-type]
 
 
 def runs_of(*, split: bool) -> dict[str, tuple[str, ...]]:
     """Names of the runs and the causes that act in each."""
-    every = tuple(SWITCHES)
-    runs: dict[str, tuple[str, ...]] = {"all": every}
+    causes = tuple(SWITCHES)
+    runs: dict[str, tuple[str, ...]] = {"all": causes}
     if split:
         runs["none"] = ()
-        for cause in every:
+        for cause in causes:
             runs[f"only {cause}"] = (cause,)
-            runs[f"without {cause}"] = tuple(c for c in every if c != cause)
+            runs[f"without {cause}"] = tuple(other for other in causes if other != cause)
     return runs
 
 
@@ -157,26 +159,26 @@ def measure_high_frequency(
 ) -> HighFrequencyMeasurement:
     """Step the camera, take frames at every position, centroid (ACC18 section 1.3).
 
-    Dark frames are taken once, before the steps: all positions share them pixel by pixel.
+    Dark frames are taken once, before the steps, and subtracted at all positions.
     """
     check_steps(steps, bench)
     scene = scene_of(scene, bench, instrument)
     bench = scene.bench
-    rest = target_place(bench, instrument, place_px)
+    rest = star_target_directions(bench, instrument, place_px)
     path = step_path(hexapod, steps, instrument.pixel_arcsec, streams.generator("hexapod"))
     psf = scene.psfs(rest)
-    chips = {run: switched(instrument.detector, keep) for run, keep in runs_of(split=split).items()}
+    chips = {run: switched(instrument.detector, active) for run, active in runs_of(split=split).items()}
     lights: list[PointLight] = []
     position: dict[str, dict[str, list[FloatArray]]] = {run: {m: [] for m in bench.methods} for run in chips}
     for number, direction in enumerate(turned(rest, path.true_rad)):
-        here = streams.child("position", number)
-        lights.append(scene.light(direction, here, f"step {number + 1}", psf=psf))
+        position_streams = streams.child("position", number)
+        lights.append(scene.light(direction, position_streams, f"step {number + 1}", psf=psf))
         for run, chip in chips.items():
             frames = read_points(
                 lights[-1],
                 bench,
                 instrument,
-                streams=here,
+                streams=position_streams,
                 dark_streams=streams.child("before"),
                 detector=chip,
                 subtraction=subtraction,
@@ -184,17 +186,20 @@ def measure_high_frequency(
             for method, centroids in frames.position_px.items():
                 position[run][method].append(centroids)
         advance()
-    told, common = nominal_noise(instrument), position["all"][motion_method(bench.methods)]
+    noise_model, reference = nominal_noise(instrument), position["all"][motion_method(bench.methods)]
     noiseless = [noiseless_stamps(light.light_e, corner_px=light.corner_px) for light in lights]
     return HighFrequencyMeasurement(
         pixel_arcsec=instrument.pixel_arcsec,
         photon_px=np.stack([light.photon_px for light in lights]),
         noiseless_px={
-            name: np.stack([centroider.measure(stamps, told).pixel_px for stamps in noiseless])
+            name: np.stack([centroider.measure(stamps, noise_model).pixel_px for stamps in noiseless])
             for name, centroider in centroiders(bench, lights[0].psf).items()
         },
-        position_px={run: {m: np.stack(v, axis=1) for m, v in of.items()} for run, of in position.items()},
+        position_px={
+            run: {method: np.stack(centroids, axis=1) for method, centroids in by_method.items()}
+            for run, by_method in position.items()
+        },
         corner_px=np.stack([light.corner_px for light in lights]),
         moving=bench.power_px2(instrument)[0] > 0.0,
-        motion_px2=np.stack([common_motion_px2(centroids) for centroids in common]),
+        motion_px2=np.stack([common_motion_px2(centroids) for centroids in reference]),
     )

@@ -16,7 +16,7 @@ from experiments.laboratory.bench.ray_prediction import bundle_prediction, targe
 from experiments.laboratory.bench.readout.frames import nominal_noise
 from experiments.laboratory.devices.hexapod import step_path, turned
 from experiments.laboratory.settings.tables import HexapodConfig, StepConfig
-from experiments.laboratory.temporal_error import target_place
+from experiments.laboratory.temporal_error import star_target_directions
 from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD
 from render.engine.random import Streams
@@ -24,7 +24,7 @@ from render.records import EffectivePsf
 from render.sensor_file.instrument import Instrument
 
 PATHS = 24
-"""Drawn paths of a hexapod with errors; roll is too small to change S-curve and pattern."""
+"""Drawn paths of a hexapod with errors; roll changes S-curve and pattern negligibly."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,15 +52,19 @@ def predict_high_frequency(
     noise_draws: int = 0,
     seed: int = 0,
 ) -> HighFrequencyPrediction:
-    """Prediction for every centroider; ``corner_px`` (m, j, 2): windows of a test that was made."""
+    """Prediction for every centroider.
+
+    ``shift_px`` (m, 2): measured common shift of the image at each position; ``corner_px`` (m, j, 2): first pixels of
+    the windows of the test. Without them paths of the hexapod are drawn.
+    """
     bench = one_filter(bench)
     rng = Streams(seed).generator("high-frequency prediction")
     ideal = HexapodConfig(step_error_arcsec=0.0, roll_error_arcsec=0.0, reading_error_arcsec=0.0)
     path = step_path(ideal, steps, instrument.pixel_arcsec, rng)
-    direction = turned(target_place(bench, instrument, place_px), path.commanded_rad)
+    direction = turned(star_target_directions(bench, instrument, place_px), path.commanded_rad)
     shift = np.zeros((steps.positions, 2)) if shift_px is None else np.asarray(shift_px, float)
-    place = bundle_prediction(bench, instrument, direction)[:, :, bench.reference]
-    windows = target_windows(bench, instrument, direction, psf, place + shift[:, None], corner_px=corner_px)
+    position = bundle_prediction(bench, instrument, direction)[:, :, bench.reference]
+    windows = target_windows(bench, instrument, direction, psf, position + shift[:, None], corner_px=corner_px)
     error_px = hexapod.step_error_arcsec / instrument.pixel_arcsec if hexapod is not None and shift_px is None else 0.0
     drawn = [error_px * rng.standard_normal(shift.shape) for _ in range(PATHS if error_px > 0 else 0)]
     model = StepModel(
@@ -71,7 +75,9 @@ def predict_high_frequency(
         frames=bench.frames,
         dark_frames=bench.dark_frames,
         offsets_px=drawn,
-        drawn_windows=[target_windows(bench, instrument, direction, psf, place + one[:, None]) for one in drawn],
+        drawn_windows=[
+            target_windows(bench, instrument, direction, psf, position + offset[:, None]) for offset in drawn
+        ],
         roll_rad=0.0 if hexapod is None else hexapod.roll_error_arcsec * ARCSEC_RAD,
         dark_subtracted=subtraction == "dark",
         defect=defect,

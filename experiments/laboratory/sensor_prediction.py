@@ -49,30 +49,30 @@ DEEPER_MAG, DEPTH_STEP_MAG = 1.0, 0.5
 """Magnitudes below the limiting magnitude to which the sky is searched, and their steps."""
 BRIGHTEST_MAG = -1.5
 """No star is brighter (Sirius: V = -1.46 mag)."""
-WORST = 0.01
-"""Fraction of the sky that its worst part is."""
-SIGHTINGS, FEWEST = 400_000, 100
-"""Number of stars up to which attitudes are looked up; wide fields need fewer attitudes, but not fewer than these."""
-KEPT = 64
-"""Results of settings that stay in memory."""
+WORST_FRACTION = 0.01
+"""Fraction of the sky in its worst part."""
+SAMPLED_STARS, FEWEST_ATTITUDES = 400_000, 100
+"""Stars in all sampled fields together: wide fields need fewer attitudes, at least this number."""
+CACHE_SIZE = 64
+"""Settings whose results remain in memory."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CameraPrediction:
     """All results of a prediction."""
 
-    config: Any  # For which sensor: PredictedSensorConfig, or the configuration of an experiment with all its keys
+    config: Any  # PredictedSensorConfig, or the configuration of an experiment with all its keys
     state: FieldResponse  # Lens and light
     detector: Detector  # With the changes of the configuration, cut to the window
-    pixel: PixelNoise  # Of a pixel in one exposure
+    pixel: PixelNoise  # In one exposure
     processing: DetectionLimit  # Noise of frames and detection
     stars: StarErrors  # Errors against electrons
-    view: SkyView  # Sky
-    attitude: AttitudeForecast  # Attitudes
+    view: SkyView
+    attitude: AttitudeForecast
     limits_mag: Mapping[float, float]  # Fraction of stars detected -> magnitude
 
     @cached_property
-    def records(self) -> tuple[Optics, Accuracy, Sky]:
+    def records(self) -> tuple[Optics, StarAccuracy, SkyPerformance]:
         """Single numbers."""
         return optics(self), accuracy(self), sky(self)
 
@@ -87,28 +87,28 @@ class CameraPrediction:
 
     @property
     def saturated(self) -> bool:
-        """Whether the star that the accuracy is quoted for saturates: there is no accuracy then."""
+        """Whether the quoted star saturates, so that its accuracy is undefined."""
         return self.config.star.magnitude_mag < self.value("saturation_mag")
 
     @property
     def catalogue_ends(self) -> bool:
-        """Whether the sensor finds stars that the catalogue does not hold."""
+        """Whether the sensor detects stars below the faintest of the catalogue."""
         return self.view.depth_mag < self.value("limiting_magnitude_mag")
 
     @property
     def radii_px(self) -> FloatArray:
-        """Distances (n,) from the middle of places that lie evenly over the detector."""
+        """Distances (n,) from the centre of a uniform grid over the detector."""
         return detector_radii(self.state)
 
     @property
     def axis_e(self) -> float:
-        """Electrons on the axis of the star that the accuracy is quoted for."""
+        """Electrons of the quoted star on the axis."""
         star = self.config.star
         return float(self.electrons(np.array([star.magnitude_mag]), star.temperature_k)[0])
 
     @property
     def fill(self) -> float:
-        """Charge of that star's brightest pixel over what a pixel can show."""
+        """Charge of the quoted star's brightest pixel over the saturation charge."""
         return float(self.stars.centroid.peak.max()) * self.axis_e / max(self.processing.frame.saturation_e, 1e-9)
 
     def electrons(self, magnitude: FloatArray, temperature_k: float, radius_px: FloatArray | float = 0.0) -> FloatArray:
@@ -151,9 +151,9 @@ def exposed_s(config: PredictedSensorConfig) -> float:
 
 
 def detector_radii(state: FieldResponse) -> FloatArray:
-    """Distances from the middle of places (n,) that lie evenly over the detector."""
-    camera, part = state.sensor.camera, (np.arange(16) + 0.5) / 16.0 - 0.5
-    x, y = np.meshgrid(part * camera.width_px, part * camera.height_px)
+    """Distances (n,) [px] from the centre of a uniform 16 x 16 grid over the detector."""
+    camera, fraction = state.sensor.camera, (np.arange(16) + 0.5) / 16.0 - 0.5
+    x, y = np.meshgrid(fraction * camera.width_px, fraction * camera.height_px)
     return np.hypot(x, y).ravel()
 
 
@@ -186,11 +186,7 @@ def predict_sensor(file: str | Path, *settings: str) -> CameraPrediction:
 
 
 def predict_camera(config: PredictedSensorConfig) -> CameraPrediction:
-    """Predict a sensor.
-
-    Results of lens, pass band and detector are kept from call to call, so that sweeps over exposure, noise or
-    processing cost a fraction of a second per point.
-    """
+    """Predict a sensor; results of lens, pass band and detector are cached for sweeps over other settings."""
     state = optical_state(config)
     chip = state.sensor.detector
     detector = replace(
@@ -295,7 +291,7 @@ def sightings(config: PredictedSensorConfig, state: FieldResponse, view: SkyView
 
 
 def optical_state(config: PredictedSensorConfig) -> FieldResponse:
-    """Lens, pass band and detector of a configuration; the last ones are kept."""
+    """Lens, pass band and detector of a configuration (cached)."""
     geometry = config.instrument.model_copy(
         update={
             name: InstrumentConfig.model_fields[name].default
@@ -304,11 +300,11 @@ def optical_state(config: PredictedSensorConfig) -> FieldResponse:
     )
     chip = DetectorConfig(diffusion_sigma_um=config.detector.diffusion_sigma_um)
     at_rest = _at_rest(geometry, chip, config.passband, magnitude_system(config.catalogue), config.star.temperature_k)
-    turn = math.radians(config.slew.rate_deg_per_s * config.instrument.exposure_s)
-    if not turn:
+    turn_rad = math.radians(config.slew.rate_deg_per_s * config.instrument.exposure_s)
+    if not turn_rad:
         return at_rest
     longest, setting, window_px = longest_trail_px(config, at_rest)
-    trail_px = turn * at_rest.performance.plate_scale_mm / at_rest.sensor.camera.pixel_pitch_mm
+    trail_px = turn_rad * at_rest.performance.plate_scale_mm / at_rest.sensor.camera.pixel_pitch_mm
     if trail_px > longest:
         needed = int(np.ceil(trail_px - longest + window_px)) // 2 * 2 + 1
         raise DomainError(
@@ -319,7 +315,7 @@ def optical_state(config: PredictedSensorConfig) -> FieldResponse:
 
 
 def longest_trail_px(config: PredictedSensorConfig, at_rest: FieldResponse) -> tuple[float, str, int]:
-    """Longest trail in the centroider's window; the limiting setting, and its pixels."""
+    """Longest trail in the centroider's window, the setting that limits it, and the side of the window."""
     setting, window_px = "window_px =", config.window_px
     half = None if needs_epsf(config.centroid) else getattr(get_centroider(config.centroid), "half_width_px", None)
     if half is not None and 2 * half + 1 < window_px:
@@ -328,7 +324,7 @@ def longest_trail_px(config: PredictedSensorConfig, at_rest: FieldResponse) -> t
     return window_px - 4.0 * rms_mm / at_rest.sensor.camera.pixel_pitch_mm, setting, window_px
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHE_SIZE)
 def _moving(state: FieldResponse, length_px: float, towards_rad: float) -> FieldResponse:
     return state.moving(length_px * np.array([np.cos(towards_rad), np.sin(towards_rad)]))
 
@@ -338,7 +334,7 @@ def magnitude_system(config: CatalogueConfig) -> str:
     return "G" if config.source == "gaia" else load_catalogue(config).magnitude_system
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHE_SIZE)
 def _at_rest(
     config: InstrumentConfig, chip: DetectorConfig, passband: PassbandConfig, system: str, temperature_k: float
 ) -> FieldResponse:
@@ -354,37 +350,42 @@ def _at_rest(
 
 
 def sky_of(config: PredictedSensorConfig, limit_mag: float) -> SkyView:
-    """Stars to a magnitude or to where the catalogue ends, for the lens as designed; the last views are kept."""
-    deep = DEPTH_STEP_MAG * float(np.ceil(limit_mag / DEPTH_STEP_MAG))
-    kept = {name: getattr(config.instrument, name) for name in ("lens", "detector", "width_px", "height_px")}
-    # coatings and absorption play no part: a lens without transmittance data has a field of view too
-    plain = InstrumentConfig(**kept, defocus_mm=0.0, absorption=False, coating_nm=0.0)
-    depth = min(deep, config.catalogue.faintest_mag)
-    return _sky_of(plain, config.catalogue, config.window_px, depth, config.sky.attitudes, config.seed)
+    """Stars to a magnitude or to the end of the catalogue, for the lens as designed (cached)."""
+    stepped_mag = DEPTH_STEP_MAG * float(np.ceil(limit_mag / DEPTH_STEP_MAG))
+    geometry = {name: getattr(config.instrument, name) for name in ("lens", "detector", "width_px", "height_px")}
+    # the field of view depends on neither coatings nor absorption, for which a lens may have no data
+    lossless = InstrumentConfig(**geometry, defocus_mm=0.0, absorption=False, coating_nm=0.0)
+    depth_mag = min(stepped_mag, config.catalogue.faintest_mag)
+    return _sky_of(lossless, config.catalogue, config.window_px, depth_mag, config.sky.attitudes, config.seed)
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHE_SIZE)
 def _field_of_view(config: InstrumentConfig) -> FieldOfView:
     return field_of_view(build_instrument(config).camera, margin_px=0.0)
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHE_SIZE)
 def _sky_of(
-    instrument: InstrumentConfig, catalogue: CatalogueConfig, window_px: int, depth: float, attitudes: int, seed: int
+    instrument: InstrumentConfig,
+    catalogue: CatalogueConfig,
+    window_px: int,
+    depth_mag: float,
+    attitudes: int,
+    seed: int,
 ) -> SkyView:
-    whole = load_catalogue(catalogue)
-    bright = np.flatnonzero(whole.magnitude <= depth)
+    full = load_catalogue(catalogue)
+    bright = np.flatnonzero(full.magnitude <= depth_mag)
     if not len(bright):
-        brightest = float(np.nanmin(whole.magnitude))
+        brightest = float(np.nanmin(full.magnitude))
         raise DomainError(
-            f"no star of catalogue {whole.name} is brighter than the sensor's limiting magnitude of {depth:g} mag; "
+            f"no star of catalogue {full.name} is brighter than the sensor's limiting magnitude of {depth_mag:g} mag; "
             f"the brightest has {brightest:.2f} mag"
         )
-    stars, view = whole.select(bright), _field_of_view(instrument)
-    count = int(np.clip(SIGHTINGS / expected_stars(len(bright), view), min(FEWEST, attitudes), attitudes))
-    turned = Rotation.random(count, rng=Streams(seed).child("camera").generator("attitudes"))
+    stars, view = full.select(bright), _field_of_view(instrument)
+    count = int(np.clip(SAMPLED_STARS / expected_stars(len(bright), view), min(FEWEST_ATTITUDES, attitudes), attitudes))
+    rotations = Rotation.random(count, rng=Streams(seed).child("camera").generator("attitudes"))
     kelvin = star_temperature(stars, catalogue.temperature)
-    return sky_view(stars, kelvin, view, turned, window_px=window_px, depth_mag=depth)
+    return sky_view(stars, kelvin, view, rotations, window_px=window_px, depth_mag=depth_mag)
 
 
 # --- The single numbers, the same names for every sensor
@@ -416,7 +417,7 @@ class Optics:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Accuracy:
+class StarAccuracy:
     """The star of ``[star]``, one axis, one standard deviation; NaN where it saturates."""
 
     electrons_e: float = col("Electrons", "e-", ".0f")
@@ -429,7 +430,7 @@ class Accuracy:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sky:
+class SkyPerformance:
     """Detection, and attitudes over the sky, one standard deviation."""
 
     saturation_mag: float = col("Brightest star that does not saturate", "mag", ".2f")
@@ -481,12 +482,12 @@ def optics(prediction: CameraPrediction) -> Optics:
     )
 
 
-def accuracy(prediction: CameraPrediction) -> Accuracy:
-    """Numbers of the star that is quoted, mean over the detector."""
+def accuracy(prediction: CameraPrediction) -> StarAccuracy:
+    """Numbers of the quoted star, mean over the detector."""
     config, state, stars = prediction.config, prediction.state, prediction.stars
     star, radius, axis_e = config.star, prediction.radii_px, prediction.axis_e
     electrons = prediction.electrons(np.full(len(radius), star.magnitude_mag), star.temperature_k, radius)
-    # clipped spots have no predicted centroid
+    # the centroid of a clipped spot is not predicted
     pixel = state.pixel_arcsec if prediction.fill <= 1.0 else math.nan
     errors = stars.centroid
     noise, pattern = (pixel * stars.rms_at(table, electrons, radius) for table in (errors.noise_px, errors.pattern_px))
@@ -494,7 +495,7 @@ def accuracy(prediction: CameraPrediction) -> Accuracy:
     spot_px = stars.rms_at(stars.colour_px, electrons, radius) if stars.colour_px.any() else 0.0
     colour = state.pixel_arcsec * _colour_px(prediction, spot_px)
     snr = mean_snr(state.psfs[0], axis_e, prediction.processing.frame, config.window_px)
-    return Accuracy(
+    return StarAccuracy(
         electrons_e=axis_e,
         snr=snr if prediction.fill <= 1.0 else math.nan,
         nea_arcsec=noise,
@@ -517,25 +518,25 @@ def _colour_px(prediction: CameraPrediction, spot_px: float) -> float:
     return math.hypot(math.sqrt(0.5 * (shift_px**2).mean()), spot_px * math.sqrt((distance**2).mean()))
 
 
-def sky(prediction: CameraPrediction) -> Sky:
+def sky(prediction: CameraPrediction) -> SkyPerformance:
     """Numbers of detection and attitude."""
     config, processing, forecast = prediction.config, prediction.processing, prediction.attitude
     attitudes = {}
     for kind, values in (("", forecast.total_arcsec), ("_noise", forecast.noise_arcsec)):
         across = np.sqrt((values[:, :2] ** 2).mean(1))
-        for name, errors in (("cross", across), ("roll", values[:, 2])):
-            for part, level in (("", 0.5), ("_worst", 1.0 - WORST)):
-                value = float(np.quantile(errors, level, method="inverted_cdf"))
-                attitudes[f"attitude_{name}{part}{kind}_arcsec"] = value
+        for component, errors in (("cross", across), ("roll", values[:, 2])):
+            for part, level in (("", 0.5), ("_worst", 1.0 - WORST_FRACTION)):
+                error = float(np.quantile(errors, level, method="inverted_cdf"))
+                attitudes[f"attitude_{component}{part}{kind}_arcsec"] = error
     timing, exposure_s = config.timing, config.instrument.exposure_s
-    return Sky(
+    return SkyPerformance(
         saturation_mag=config.star.magnitude_mag + 2.5 * math.log10(max(prediction.fill, 1e-9)),
         limiting_magnitude_mag=prediction.limits_mag[0.5],
         complete_magnitude_mag=prediction.limits_mag[0.9],
         threshold_sigma=processing.threshold_sigma,
         false_alarms_per_frame=processing.false_alarms,
         stars_mean_per_frame=float(forecast.stars.mean()),
-        stars_worst_per_frame=float(np.quantile(forecast.stars, WORST)),
+        stars_worst_per_frame=float(np.quantile(forecast.stars, WORST_FRACTION)),
         update_rate_hz=1.0 / timing.period_s(exposure_s),
         latency_s=0.5 * exposure_s + timing.readout_s + timing.processing_s,
         **attitudes,

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from calib.accuracy.error_budget import ErrorTerm
 from calib.accuracy.temporal import expected_temporal_error, temporal_error
-from calib.measure.centroid_error.expected_windows import bound_px, drawn_positions, followed_px, window_response
+from calib.measure.centroid_error.expected_windows import bound_px as cramer_rao_px
+from calib.measure.centroid_error.expected_windows import drawn_positions, followed_px, window_response
 from calib.measure.statistics.frame_positions import common_motion_px2
 from experiments.laboratory.bench.point_bench import Bench, centroiders, motion_method, one_filter
 from experiments.laboratory.bench.points import PointLight, PointScene, read_points, scene_of
@@ -33,8 +34,7 @@ class TemporalMeasurement:
     sigma_px: Mapping[str, FloatArray]  # (l, j, 2) By method
     light: PointLight  # The target as rendered, at the signal of the bench
     position_px: Mapping[str, FloatArray]  # (l, f, j, 2) Centroids, dark-subtracted
-    # (l, 2, 2) What the stars have in common (`calib.measure.statistics.frame_positions.common_motion_px2`)
-    motion_px2: FloatArray
+    motion_px2: FloatArray  # (l, 2, 2) Motion common to the stars (`common_motion_px2`)
 
     def temporal_error(self, method: str, level: int = 0) -> ErrorTerm:
         """Temporal error at a level, 3 sigma."""
@@ -43,19 +43,16 @@ class TemporalMeasurement:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TemporalPrediction:
-    """What `TemporalMeasurement` should give."""
+    """Expected standard deviations of a frame's centroid, motion of the line of sight included."""
 
     levels_e: FloatArray  # (l,) Electrons per star and frame
     pixel_arcsec: float  # Angle of a pixel
-    # (l, j, 2) Standard deviation of a frame's centroid by influence function
-    linear_px: Mapping[str, FloatArray]
-    device_px: Mapping[str, FloatArray]  # (l, j, 2) By how much the standard deviation differs from chip to chip
-    sampled_px: Mapping[str, FloatArray]  # (l, j, 2) The same by noise drawn on noiseless windows
+    linear_px: Mapping[str, FloatArray]  # (l, j, 2) By the linear response of the centroid to pixels
+    sampled_px: Mapping[str, FloatArray]  # (l, j, 2) By noise drawn on noiseless windows
     draws: int  # Draws per window behind ``sampled_px``
+    device_px: Mapping[str, FloatArray]  # (l, j, 2) Scatter of the standard deviation from chip to chip
+    common_px: Mapping[str, FloatArray]  # (l, j, 2) Part of the line of sight, times the slope of the S-curve plus one
     bound_px: FloatArray  # (l, j, 2) Cramer-Rao bound
-    # (l, j, 2) Standard deviation that the line of sight from frame to frame makes, which is part of all the others:
-    # its own, times what the centroid follows (1 but for the S-curve)
-    common_px: Mapping[str, FloatArray]
     frames: int  # N
 
     def arcsec(self, sigma_px: FloatArray) -> FloatArray:
@@ -74,11 +71,11 @@ class TemporalPrediction:
         )
 
 
-def target_place(bench: Bench, instrument: Instrument, place_px: Sequence[float] | None = None) -> FloatArray:
-    """Unit vectors (j, 3) in cam towards the multi-star target; by default in the middle of the first chip."""
+def star_target_directions(bench: Bench, instrument: Instrument, place_px: Sequence[float] | None = None) -> FloatArray:
+    """Unit vectors (j, 3) in cam towards the multi-star target; by default at the centre of the first chip."""
     detector = instrument.detector
-    middle = ((detector.chip_width_px - 1) / 2, (detector.chip_height_px - 1) / 2)
-    return target_directions(bench.target, instrument, np.asarray(middle if place_px is None else place_px, float))
+    centre = ((detector.chip_width_px - 1) / 2, (detector.chip_height_px - 1) / 2)
+    return target_directions(bench.target, instrument, np.asarray(centre if place_px is None else place_px, float))
 
 
 def measure_temporal(
@@ -97,22 +94,21 @@ def measure_temporal(
     """
     scene = scene_of(scene, bench, instrument)
     bench = scene.bench
-    light = scene.light(target_place(bench, instrument, place_px), streams, "target")
+    light = scene.light(star_target_directions(bench, instrument, place_px), streams, "target")
     levels = np.array([bench.signal_e] if levels_e is None else levels_e, float)
     frames = []
     for number, level in enumerate(levels):
-        here, ratio = streams.child("level", number), float(level / bench.signal_e)
-        frames.append(read_points(light, bench, instrument, streams=here, signal_ratio=ratio))
+        level_streams, ratio = streams.child("level", number), float(level / bench.signal_e)
+        frames.append(read_points(light, bench, instrument, streams=level_streams, signal_ratio=ratio))
         advance()
-    steady = motion_method(bench.methods)
     return TemporalMeasurement(
         levels_e=levels,
         frames=bench.frames,
         pixel_arcsec=instrument.pixel_arcsec,
-        sigma_px={m: np.stack([one.sigma_px(m) for one in frames]) for m in bench.methods},
+        sigma_px={m: np.stack([level.sigma_px(m) for level in frames]) for m in bench.methods},
         light=light,
-        position_px={m: np.stack([one.position_px[m] for one in frames]) for m in bench.methods},
-        motion_px2=np.stack([common_motion_px2(one.position_px[steady]) for one in frames]),
+        position_px={m: np.stack([level.position_px[m] for level in frames]) for m in bench.methods},
+        motion_px2=np.stack([common_motion_px2(level.position_px[motion_method(bench.methods)]) for level in frames]),
     )
 
 
@@ -127,40 +123,43 @@ def predict_temporal(
     defect: NDArray[np.bool_] | None = None,
     seed: int = 0,
 ) -> TemporalPrediction:
-    """The same without frames: PSFs, traced positions, the detector's data sheet."""
+    """`measure_temporal` without frames: PSFs, traced positions, the detector's data sheet."""
     bench = one_filter(bench)
-    direction = target_place(bench, instrument, place_px)[None]
+    direction = star_target_directions(bench, instrument, place_px)[None]
     levels = np.array([bench.signal_e] if levels_e is None else levels_e, float)
-    noise, rng = instrument.pixel_noise(), Streams(seed).generator("temporal prediction")
-    methods, told = centroiders(bench, psf), nominal_noise(instrument)
-    bound, step = [], bench.power_px2(instrument)[0] ** 0.5
-    # by method and level: linear, from chip to chip, common to all stars, drawn (4, j, 2)
-    parts: dict[str, list[FloatArray]] = {m: [] for m in methods}
-    place = bundle_prediction(bench, instrument, direction)[:, :, bench.reference]
+    pixel, noise_model = instrument.pixel_noise(), nominal_noise(instrument)
+    rng, motion_px = Streams(seed).generator("temporal prediction"), bench.power_px2(instrument)[0] ** 0.5
+    position = bundle_prediction(bench, instrument, direction)[:, :, bench.reference]
+    bound_px = []
+    by_method: list[dict[str, list[FloatArray]]] = [{method: [] for method in bench.methods} for _ in range(4)]
+    linear_px, sampled_px, device_px, common_px = by_method
     for level in levels:
-        windows = target_windows(
-            replace(bench, signal_e=float(level)), instrument, direction, psf, place, defect=defect
-        )
-        bound.append(bound_px(windows, noise.floor_e2))
-        for name, centroider in methods.items():
-            gain = window_response(centroider, windows, told)
-            drawn = linear = gain.sigma_px(noise.temporal_e2(windows.light_e))
+        level_bench = replace(bench, signal_e=float(level))
+        windows = target_windows(level_bench, instrument, direction, psf, position, defect=defect)
+        bound_px.append(np.hypot(cramer_rao_px(windows, pixel.floor_e2), motion_px))
+        for method, centroider in centroiders(bench, psf).items():
+            response = window_response(centroider, windows, noise_model)
+            linear = sampled = response.sigma_px(pixel.temporal_e2(windows.light_e))
             if draws >= 2:
-                positions = drawn_positions(centroider, windows, told, noise, draws=draws, rng=rng)
-                drawn = np.nanstd(positions, axis=0, ddof=1)
-            device, common = gain.device_sigma_px(windows.light_e, noise), followed_px(centroider, windows, told, step)
-            parts[name].append(np.stack([np.hypot(linear, common), device, common, np.hypot(drawn, common)]))
-    linear_px, device_px, common_px, sampled_px = (
-        {name: np.stack(levels)[:, part] for name, levels in parts.items()} for part in range(4)
-    )
+                drawn = drawn_positions(centroider, windows, noise_model, pixel, draws=draws, rng=rng)
+                sampled = np.nanstd(drawn, axis=0, ddof=1)
+            common = followed_px(centroider, windows, noise_model, motion_px)
+            linear_px[method].append(np.hypot(linear, common))
+            sampled_px[method].append(np.hypot(sampled, common))
+            device_px[method].append(response.device_sigma_px(windows.light_e, pixel))
+            common_px[method].append(common)
     return TemporalPrediction(
         levels_e=levels,
         pixel_arcsec=instrument.pixel_arcsec,
-        linear_px=linear_px,
-        device_px=device_px,
-        sampled_px=sampled_px,
+        linear_px=_stacked(linear_px),
+        sampled_px=_stacked(sampled_px),
         draws=draws,
-        bound_px=np.hypot(np.stack(bound), step),
-        common_px=common_px,
+        device_px=_stacked(device_px),
+        common_px=_stacked(common_px),
+        bound_px=np.stack(bound_px),
         frames=bench.frames,
     )
+
+
+def _stacked(levels: Mapping[str, list[FloatArray]]) -> dict[str, FloatArray]:
+    return {method: np.stack(values) for method, values in levels.items()}

@@ -30,7 +30,7 @@ from experiments.laboratory.temporal_error import (
     TemporalPrediction,
     measure_temporal,
     predict_temporal,
-    target_place,
+    star_target_directions,
 )
 from experiments.temporal.settings import TemporalConfig
 from optics.arrays import FloatArray
@@ -126,7 +126,9 @@ def run(config: TemporalConfig, *, progress: Progress) -> dict[str, Any]:
     wanted = np.geomspace(levels.lowest_e, levels.highest_e, levels.levels)
     deviates = streams.generator("brightness").standard_normal(len(wanted))
     reached = wanted * np.exp(levels.setting_error_ratio * deviates)
-    scene = prepared_scene(bench, instrument, target_place(bench, instrument, config.place_px)[None], progress)
+    scene = prepared_scene(
+        bench, instrument, star_target_directions(bench, instrument, config.place_px)[None], progress
+    )
     with progress.stage("frames", total=len(reached) + 1) as stage:
         test: dict[str, Any] = {"scene": scene, "place_px": config.place_px, "advance": stage.advance}
         measured = measure_temporal(bench, instrument, levels_e=reached, streams=streams, **test)

@@ -28,7 +28,7 @@ from experiments.harness.quantities import Quantities, shown_unit
 from experiments.harness.sections import Section, agree, below, col
 from experiments.harness.summary import Measured, measured
 from experiments.laboratory.single_star.measure import Measurement, TracedMap, measure, traced_map
-from experiments.laboratory.single_star.settings import TableConfig
+from experiments.laboratory.single_star.settings import TurntableConfig
 from experiments.laboratory.single_star.setup import (
     build_star,
     build_table,
@@ -193,7 +193,12 @@ def knowledge(
 
 
 def calibrations(
-    config: Config, instrument: Instrument, traced: TracedMap, key: str, table: TableConfig, measurement: Measurement
+    config: Config,
+    instrument: Instrument,
+    traced: TracedMap,
+    key: str,
+    table: TurntableConfig,
+    measurement: Measurement,
 ) -> tuple[dict[str, Reduction], Reduction]:
     """Calibrations of the rendered run, and of noise-free rays."""
     start, ahead = start_model(instrument, config.reduction.focal_length_mm), star_direction(*config.reduction.star_deg)

@@ -13,18 +13,18 @@ from experiments.laboratory.settings.own_frames import or_own_frames
 from experiments.laboratory.single_star.settings import (
     LARGEST_STAR_ANGLE_DEG,
     SingleStarConfig,
-    TableConfig,
+    TurntableConfig,
 )
 from optics.settings import StrictModel
 
 
-def _two_axes() -> TableConfig:
+def _two_axes() -> TurntableConfig:
     # 0.3 and 0.4 arcsec: the table of CUBE09. FISHER23 does not give its table's errors.
-    return TableConfig(axes="xy", reading_noise_arcsec=(0.3, 0.4), non_orthogonality_arcsec=(5.0,))
+    return TurntableConfig(axes="xy", reading_noise_arcsec=(0.3, 0.4), non_orthogonality_arcsec=(5.0,))
 
 
-def _three_axes() -> TableConfig:
-    return TableConfig(
+def _three_axes() -> TurntableConfig:
+    return TurntableConfig(
         axes="xyz",
         reading_noise_arcsec=(0.3, 0.4, 0.4),
         non_orthogonality_arcsec=(5.0, -4.0),
@@ -65,8 +65,8 @@ class StudyConfig(StrictModel):
 class Config(SingleStarConfig):
     """Bench and unknowns of FISHER23, which states no numbers: camera of ACC18, turntable of CUBE09."""
 
-    two_axis: TableConfig = Field(default_factory=_two_axes)
-    three_axis: TableConfig = Field(default_factory=_three_axes)
+    two_axis: TurntableConfig = Field(default_factory=_two_axes)
+    three_axis: TurntableConfig = Field(default_factory=_three_axes)
     reduction: ReductionConfig = ReductionConfig()
     study: StudyConfig = StudyConfig()
 

@@ -2,8 +2,8 @@
 
 Names, checks and labels come from the registry (`calib.measure.centroiding.registry`): a centroider added there is
 available in every experiment. A centroider that needs an ePSF makes two *methods* if an experiment has several PSFs:
-under its own name every place and filter is measured with its own PSF; as ``NAME_reference`` all are measured with the
-PSF of one place or one filter. As ``NAME_measured`` all are measured with one PSF built from frames
+as ``NAME`` every place and filter is measured with the PSF there (matched); as ``NAME_reference`` all are measured with
+the PSF of a single place or filter; as ``NAME_measured`` all are measured with a PSF built from frames
 (`experiments.laboratory.bench.epsf_session`), where an experiment takes such frames.
 """
 
@@ -31,8 +31,8 @@ def needs_epsf(method: str) -> bool:
     return centroider_class(_split(method)[0]).needs_epsf
 
 
-def has_own_epsf(method: str) -> bool:
-    """Whether every place is measured with the PSF of that place: nothing but noise and patterns then moves it."""
+def has_matched_epsf(method: str) -> bool:
+    """Whether every place is measured with the PSF of that place: its errors are then noise and patterns alone."""
     return needs_epsf(method) and not _split(method)[1]
 
 
@@ -48,8 +48,8 @@ def list_methods(*, measured: bool = False) -> tuple[str, ...]:
 
 
 def _split(method: str) -> tuple[str, str]:
-    """Name of the centroider, and which ePSF it is given: "" for that of each place."""
-    if method in list_centroiders():  # needs no look at the classes
+    """Name of the centroider, and the ending for its ePSF: "" for the matched one."""
+    if method in list_centroiders():  # no import of the classes
         return method, ""
     if method not in list_methods(measured=True):
         raise unknown_name("centroider", method, list_methods(measured=True))
@@ -59,7 +59,7 @@ def _split(method: str) -> tuple[str, str]:
 
 @dataclass(frozen=True)
 class _Name:
-    """Text that must be a known name when a configuration is read; its JSON schema lists those known at that time."""
+    """Text that must be a registered name when a configuration is read; its JSON schema lists these names."""
 
     names: Callable[[], tuple[str, ...]]
 
@@ -81,27 +81,26 @@ CentroiderName = Annotated[str, _Name(list_centroiders)]
 """Type of a setting that names a centroider."""
 
 MethodName = Annotated[str, _Name(list_methods)]
-"""Type of a setting that names a centroider, and which ePSF it is given."""
+"""Type of a setting that names a centroider with its ePSF."""
 
 ProcessingName = Annotated[str, _Name(lambda: list_methods(measured=True))]
-"""The same where frames are taken from which an ePSF can be built."""
+"""Type of such a setting where frames are taken from which an ePSF can be built."""
 
 
 @dataclass(frozen=True)
 class MethodLabels(Mapping[str, str]):
     """Labels of the methods in tables and figures: the centroider's label with its ePSF."""
 
-    # What an experiment calls the ePSF of each place, the reference one and the one built from frames; "" where that
-    # needs no word
-    own: str = ""
+    # Words for the ePSF of each place, the reference one and the one built from frames; "" adds none
+    matched: str = ""
     reference: str = "middle ePSF"
     measured: str = "measured ePSF"
 
     def __getitem__(self, method: str) -> str:
-        name, which = _split(method)
-        given = {"": self.own, _REFERENCE: self.reference, _MEASURED: self.measured}
-        words = given[which] if needs_epsf(method) else ""
-        return f"{centroider_class(name).label} ({words})" if words else centroider_class(name).label
+        name, ending = _split(method)
+        psf_label = {"": self.matched, _REFERENCE: self.reference, _MEASURED: self.measured}[ending]
+        label = centroider_class(name).label
+        return f"{label} ({psf_label})" if psf_label and needs_epsf(method) else label
 
     def __iter__(self) -> Iterator[str]:
         return iter(list_methods())
@@ -113,17 +112,17 @@ class MethodLabels(Mapping[str, str]):
 def method_centroiders(
     methods: Iterable[str],
     *,
-    own: Sequence[EffectivePsf],
+    matched: Sequence[EffectivePsf],
     reference: Sequence[EffectivePsf],
     measured: EffectivePsf | None = None,
 ) -> dict[str, Centroider]:
     """Centroiders by method."""
-    found = {}
+    psfs = {"": matched, _REFERENCE: reference, _MEASURED: [measured] * len(matched)}
+    centroiders = {}
     for method in methods:
-        name, which = _split(method)
-        if which == _MEASURED and measured is None:
+        name, ending = _split(method)
+        if ending == _MEASURED and measured is None:
             raise ConfigError(f"centroider {method!r} needs an ePSF built from frames; none was built")
-        given = {"": own, _REFERENCE: reference, _MEASURED: [measured] * len(own)}
-        options = {"epsf": list(given[which])} if needs_epsf(method) else {}
-        found[method] = get_centroider(name, **options)
-    return found
+        options = {"epsf": list(psfs[ending])} if needs_epsf(method) else {}
+        centroiders[method] = get_centroider(name, **options)
+    return centroiders

@@ -15,15 +15,14 @@ from optics.rays.best_focus import best_focus_shift_mm
 from render.sensor import StarSensor
 from render.sensor_file.instrument import Instrument
 
-RADII = 4.0
+WINDOW_RADII = 4.0
 """Least width of a window in RMS radii of the spot."""
-WIDE_PX = 2.5
-FAR_OUT = 1.5
-"""Spots of this RMS radius that are that many times those in the best focus are hardly meant."""
+DEFOCUSED_PX, DEFOCUSED_RATIO = 2.5, 1.5
+"""RMS radius of a spot, and its ratio to the radius in best focus, above which a defocus is taken for a mistake."""
 
 
 def check_light(bench: Bench, instrument: Instrument, direction: FloatArray) -> None:
-    """Refuse a target whose light does not reach the detector, or not the window around its image."""
+    """Refuse a target whose light does not reach the detector, or exceeds the windows."""
     position, radius_px, _ = expected_spots(bench, instrument, direction)
     dark = ~np.isfinite(position).all(axis=(2, 3))
     if dark.any():
@@ -32,8 +31,8 @@ def check_light(bench: Bench, instrument: Instrument, direction: FloatArray) -> 
             f"{instrument.camera.lens.name!r}; check its clear apertures or raise target.edge_px"
         )
     widest = float(radius_px.max())
-    if RADII * widest > bench.window_px:
-        window = 2 * math.ceil((RADII * widest - 1.0) / 2.0) + 1
+    if WINDOW_RADII * widest > bench.window_px:
+        window = 2 * math.ceil((WINDOW_RADII * widest - 1.0) / 2.0) + 1
         field_x, field_y = field_angles_deg(direction.reshape(-1, 3))
         waves = [band.centre_nm for band in bench.filters]
         best = best_focus_shift_mm(instrument.camera.lens, field_x, field_y, waves)
@@ -45,11 +44,11 @@ def check_light(bench: Bench, instrument: Instrument, direction: FloatArray) -> 
         )
 
 
-def focus_remark(sensor: StarSensor, wavelength_nm: FloatArray, share: FloatArray | None = None) -> str:
+def focus_remark(sensor: StarSensor, wavelength_nm: FloatArray, weight: FloatArray | None = None) -> str:
     """Warning for stars far out of focus, such as at a lens file's own image plane; empty otherwise."""
-    focus = sensor.focus_curve(wavelength_nm, np.ones(len(wavelength_nm)) if share is None else share)
+    focus = sensor.focus_curve(wavelength_nm, np.ones(len(wavelength_nm)) if weight is None else weight)
     radius_px, best_px = (float(focus.rms_mm(z)) / sensor.camera.pixel_pitch_mm for z in (0.0, focus.best_mm))
-    if not (radius_px > WIDE_PX and radius_px > FAR_OUT * best_px):
+    if not (radius_px > DEFOCUSED_PX and radius_px > DEFOCUSED_RATIO * best_px):
         return ""
     return (
         f"stars are far out of focus: {radius_px:.1f} px RMS radius, {best_px:.1f} px with instrument.defocus_mm = "

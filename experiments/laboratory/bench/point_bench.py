@@ -39,10 +39,9 @@ class Bench:
     frames: int  # Exposures per position and filter; exposures with the lamp off, once per position
     dark_frames: int
     window_px: int  # Window read out around each point
-    methods: Sequence[str]  # Centroiders; the first is the one that counts
-    epsf: EffectivePsf | None = None  # Built from frames beforehand: what methods of the name ``NAME_measured`` use
-    # For predictions: what that PSF might have been, one for each drawn set of such frames
-    sessions: Sequence[EffectivePsf] = ()
+    methods: Sequence[str]  # Centroiders, the main one first
+    epsf: EffectivePsf | None = None  # Built from frames before the test, for methods ``NAME_measured``
+    sessions: Sequence[EffectivePsf] = ()  # For predictions: that PSF from each of several drawn sets of frames
     collimator: Collimator | None = None  # With its errors; a perfect one if left out
 
     @property
@@ -56,7 +55,7 @@ class Bench:
         return [name for name, _, _ in self.pairs]
 
     def power_px2(self, instrument: Instrument) -> tuple[float, float]:
-        """Variance of the line of sight per axis: from exposure to exposure, and within one (`Collimator`)."""
+        """Variance of the line of sight per axis: from exposure to exposure, and within an exposure."""
         if self.collimator is None:
             return 0.0, 0.0
         between, within = self.collimator.power_arcsec2(instrument.config.exposure_s)
@@ -75,7 +74,7 @@ def one_filter(bench: Bench) -> Bench:
 
 
 def point_field(bench: Bench, instrument: Instrument, direction: FloatArray) -> StarField:
-    """Star field of one target position, scaled to the wanted signal behind every filter."""
+    """Star field of a target at one position, scaled to the signal of the bench behind every filter."""
     nodes = band_nodes(bench.filters, NODES)
     shape = nodes.weight_nm * nodes.transmission * bench.lamp.photon_density(nodes.wavelength_nm)
     camera = instrument.camera
@@ -94,18 +93,18 @@ def point_field(bench: Bench, instrument: Instrument, direction: FloatArray) -> 
 def centroiders(bench: Bench, psf: Sequence[EffectivePsf]) -> dict[str, Centroider]:
     """Centroiders of the bench by method; the PSF for all points is that of the middle one."""
     reference = [psf[len(psf) // 2]] * len(psf)
-    return method_centroiders(bench.methods, own=psf, reference=reference, measured=bench.epsf)
+    return method_centroiders(bench.methods, matched=psf, reference=reference, measured=bench.epsf)
 
 
 def session_centroiders(bench: Bench, psf: Sequence[EffectivePsf], method: str) -> list[Centroider]:
-    """A method with the PSF of each of the bench's drawn sessions; none if it uses no PSF that was built."""
+    """A method with the PSF of each of the bench's drawn sessions; none if it uses no measured PSF."""
     if not needs_measured_epsf(method):
         return []
-    return [centroiders(replace(bench, methods=(method,), epsf=one), psf)[method] for one in bench.sessions]
+    return [centroiders(replace(bench, methods=(method,), epsf=epsf), psf)[method] for epsf in bench.sessions]
 
 
 def motion_method(methods: Sequence[str]) -> str:
-    """The method that a motion of the image is judged by: a fit of the true PSF has no S-curve; or the first."""
+    """The method for motion of the image: a fit of the true PSF, which has no S-curve, or else the main one."""
     return "epsf" if "epsf" in methods else methods[0]
 
 

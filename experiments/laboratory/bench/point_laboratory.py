@@ -25,7 +25,7 @@ from render.sensor_file.instrument import Instrument, build_instrument
 
 
 def point_signal(config: PointConfig, instrument: Instrument) -> Signal:
-    """Brightness of a target point, and the star that it means."""
+    """Brightness of a target point, and the star of that brightness."""
     band = open_band(config.passband, instrument, "open")
     return signal_of(config.source, band, instrument, config.source.star_k)
 
@@ -54,10 +54,10 @@ def prepared_scene(bench: Bench, instrument: Instrument, direction: FloatArray, 
     camera, half = instrument.camera, bench.window_px // 2 + 1
     off = np.any((nominal < half) | (nominal > np.array([camera.width_px, camera.height_px]) - 1 - half), axis=1)
     if off.any():
-        at = nominal[int(np.argmax(off))]
+        column, row = nominal[int(np.argmax(off))]
         raise DomainError(
             f"{int(off.sum())} of {len(nominal)} target points lie off the detector or within {half} px of its edge, "
-            f"e.g. at column {at[0]:.0f}, row {at[1]:.0f} of {camera.width_px} x {camera.height_px} px; shift the "
+            f"e.g. at column {column:.0f}, row {row:.0f} of {camera.width_px} x {camera.height_px} px; shift the "
             "target or reduce its size"
         )
     check_light(bench, instrument, direction)

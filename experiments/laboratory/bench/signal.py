@@ -19,19 +19,19 @@ NODES = 48
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Signal:
-    """Electrons and the star that they mean; `signal_of` makes it."""
+    """Electrons, and the star of that signal (`signal_of`)."""
 
     signal_e: float  # Electrons per exposure on the axis
-    magnitude_mag: float  # V magnitude of a star that gives as many through the full pass band
-    temperature_k: float  # Of the black body that stands for the star
+    magnitude_mag: float  # V magnitude of a star with these electrons through the full pass band
+    temperature_k: float  # Of the star, a black body
 
     def magnitude_of(self, signal_e: float) -> float:
-        """V magnitude of a star of the same colour that gives other electrons."""
+        """V magnitude of a star of the same colour with other electrons."""
         return float(self.magnitude_mag - 2.5 * np.log10(signal_e / self.signal_e))
 
     @property
     def star(self) -> str:
-        """The star in words."""
+        """Printed description of the star."""
         return f"a star of V = {self.magnitude_mag:.1f}, {self.temperature_k:g} K"
 
 
@@ -45,7 +45,7 @@ def electrons_of_star(band: Band, instrument: Instrument, *, magnitude: float, t
 
 
 def signal_of(config: SignalConfig, band: Band, instrument: Instrument, temperature_k: float) -> Signal:
-    """Signal of a configuration: electrons from the magnitude where that is given, else the magnitude from them."""
+    """Signal of a configuration: electrons from the magnitude if that is configured, else the reverse."""
     zero_e = electrons_of_star(band, instrument, magnitude=0.0, temperature_k=temperature_k)
     if not zero_e > 0:
         raise DomainError(f"band {band.name!r} and the response of the camera have no wavelength in common")

@@ -10,9 +10,9 @@ import numpy as np
 from optics.errors import ConfigError
 from optics.frame_html import Marks
 
-PLACES = (("photon_x_px", "photon_y_px"), ("x_px", "y_px"), ("x", "y"), ("xcentroid", "ycentroid"))
-BRIGHTNESS = ("electrons", "flux_e", "flux")
-SHOWN = {
+POSITION_COLUMNS = (("photon_x_px", "photon_y_px"), ("x_px", "y_px"), ("x", "y"), ("xcentroid", "ycentroid"))
+BRIGHTNESS_COLUMNS = ("electrons", "flux_e", "flux")
+LABELS = {
     "star_id": "star",
     "id": "star",
     "magnitude": "magnitude",
@@ -29,15 +29,15 @@ SHOWN = {
 
 def truth_marks(table: Mapping[str, Any]) -> Marks:
     """Rows of a table of stars, brightest first."""
-    known = {name: np.asarray(values) for name, values in table.items()}
-    found = next((pair for pair in PLACES if set(pair) <= set(known)), None)
-    if found is None:
-        raise ConfigError(f"table of stars: columns x_px and y_px are needed; it has {', '.join(known)}")
-    x, y = (known[column].astype(np.float64) for column in found)
-    light = next((known[one].astype(np.float64) for one in BRIGHTNESS if one in known), None)
+    arrays = {name: np.asarray(values) for name, values in table.items()}
+    position = next((pair for pair in POSITION_COLUMNS if set(pair) <= set(arrays)), None)
+    if position is None:
+        raise ConfigError(f"table of stars: columns x_px and y_px are needed; it has {', '.join(arrays)}")
+    x, y = (arrays[column].astype(np.float64) for column in position)
+    light = next((arrays[column].astype(np.float64) for column in BRIGHTNESS_COLUMNS if column in arrays), None)
     order = np.arange(len(x)) if light is None else np.argsort(-light, kind="stable")
     if light is not None:
         order = order[light[order] > 0]
-    columns = {shown: known[column][order] for column, shown in SHOWN.items() if column in known}
-    label = [f"{one:.1f}" for one in columns.get("magnitude", ())]
+    columns = {label: arrays[column][order] for column, label in LABELS.items() if column in arrays}
+    label = [f"{magnitude:.1f}" for magnitude in columns.get("magnitude", ())]
     return Marks(name="true stars", x_px=x[order], y_px=y[order], label=label, columns=columns)

@@ -5,11 +5,12 @@ The light of a target has four errors:
 * an angle and a vergence that depend on the wavelength: the wedge of a filter, a temperature gradient of the air, and a
   target out of focus at this colour (`Collimator.light`);
 * a point is a pinhole, which is convolved into the image (`Collimator.motion`, `Collimator.pinhole_psf`);
-* vibration above the frequency of the exposures is a blur (`seen_camera`);
-* below it, with the seeing, the line of sight differs in every frame, for all points alike (`Collimator.offsets_px`).
+* vibration above the frequency of the exposures is a blur (`experiments.laboratory.bench.points.filter_scene`);
+* below it, with the seeing, the line of sight differs from frame to frame, equally for all points
+  (`Collimator.offsets_px`).
 
-Angles that depend on the position of the camera's pupil in the beam are those of one position, also for target points
-off the collimator's axis, whose beams shift over its aperture.
+The position of the camera's pupil in the beam is the same for all target points; the shift of the beam of off-axis
+points over the aperture is neglected.
 """
 
 from __future__ import annotations
@@ -43,7 +44,6 @@ STEPS_PER_CYCLE = 4.0
 """Times at which an exposure is sampled, per cycle of the highest frequency."""
 LONG_CYCLES = 1e4
 """Of the lowest frequency, over which frames are spread."""
-AIR_STEP_K = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,8 +51,7 @@ class Collimator:
     """A collimator with errors; made by `build_collimator`."""
 
     config: CollimatorConfig  # Its errors
-    # (float, float) By name of a filter: angle between its faces [arcsec], and where the image moves [deg]
-    wedge: Mapping[str, tuple[float, float]]
+    wedge: Mapping[str, tuple[float, float]]  # By filter: angle between its faces [arcsec], azimuth of the shift [deg]
 
     @property
     def wedge_lever(self) -> float:
@@ -77,35 +76,36 @@ class Collimator:
 
     def focus_mm(self, wavelength_nm: FloatArray) -> FloatArray:
         """Focus against its nominal place, away from the collimator."""
-        known = self.config.focus_wavelength_nm
-        if not known:
+        nodes = self.config.focus_wavelength_nm
+        if not nodes:
             return np.zeros_like(wavelength_nm)
         low, high = float(wavelength_nm.min()), float(wavelength_nm.max())
-        if low < known[0] or high > known[-1]:
+        if low < nodes[0] or high > nodes[-1]:
             raise DomainError(
-                f"collimator.focus_wavelength_nm = {known[0]:g} ... {known[-1]:g} nm does not cover the light of "
+                f"collimator.focus_wavelength_nm = {nodes[0]:g} ... {nodes[-1]:g} nm does not cover the light of "
                 f"{low:.0f} ... {high:.0f} nm"
             )
-        return np.asarray(PchipInterpolator(known, self.config.focus_um)(wavelength_nm)) * UM_MM
+        return np.asarray(PchipInterpolator(nodes, self.config.focus_um)(wavelength_nm)) * UM_MM
 
     def light(
         self, filters: Sequence[Filter], wavelength_nm: FloatArray, environment: Environment
     ) -> Collimation | None:
-        """How the light behind filters is bent, at wavelengths (b, k) of them; None where it is collimated."""
+        """Slope and vergence of the light behind filters at their wavelengths (b, k); None where it is collimated."""
         config, wedges = self.config, [self.wedge.get(band.name, (0.0, 0.0)) for band in filters]
         gradient = np.array(config.air_gradient_k_per_m)
         if not (config.decollimation_um or any(config.focus_um) or gradient.any() or any(a for a, _ in wedges)):
             return None
         f = config.focal_length_mm
         vergence = 1.0 / (f + config.decollimation_um * UM_MM) - 1.0 / (f + self.focus_mm(wavelength_nm))
-        # a source at a distance seems to move to the other side
+        # diverging light comes from the opposite side of the offset
         slope = -vergence[..., None] * np.array(config.offset_mm)
-        for band, (angle, way) in enumerate(wedges):
+        for band, (angle, azimuth) in enumerate(wedges):
             if angle:
                 assert isinstance(config, FilteredCollimatorConfig)
                 glass = get_glass(config.wedge_glass)
-                turn = wedge_deviation_rad(angle * ARCSEC_RAD, glass, wavelength_nm[band], environment)
-                slope[band] += self.wedge_lever * turn[:, None] * [np.cos(way * DEG_RAD), np.sin(way * DEG_RAD)]
+                deviation = wedge_deviation_rad(angle * ARCSEC_RAD, glass, wavelength_nm[band], environment)
+                direction = np.array([np.cos(azimuth * DEG_RAD), np.sin(azimuth * DEG_RAD)])
+                slope[band] += self.wedge_lever * deviation[:, None] * direction
         if gradient.any():
             if not environment.pressure_hpa:
                 raise DomainError(
@@ -115,7 +115,7 @@ class Collimator:
         return Collimation(wavelength_nm=wavelength_nm, slope_rad=slope, vergence_per_mm=vergence)
 
     def motion(self, exposure_s: float, pixel_rad: float) -> ExposureMotion | None:
-        """Attitudes that spread a point over the disk of its pinhole, weighted alike; None for a point."""
+        """Attitudes that spread a point uniformly over the disk of its pinhole; None for a point."""
         radius = self.source_radius_rad
         if not radius:
             return None
@@ -142,31 +142,31 @@ class Collimator:
 
     def power_arcsec2(self, exposure_s: float) -> tuple[float, float]:
         """Variance of the line of sight per axis: of its mean over an exposure, and within one."""
-        slow = self.config.seeing_arcsec**2
+        seeing = self.config.seeing_arcsec**2
         if self.spectrum is None:
-            return slow, 0.0
+            return seeing, 0.0
         between, within = self.spectrum.exposure_power_arcsec2(exposure_s)
-        return slow + float(between[0]), float(within[0])
+        return seeing + float(between[0]), float(within[0])
 
     def offsets_px(self, streams: Streams, frames: int, exposure_s: float, pixel_arcsec: float) -> FloatArray | None:
         """Mean line of sight (frames, 2) [px] of exposures, drawn; None where it is at rest.
 
-        Vibration is drawn as oscillations and averaged over the time of the exposure. Frames start at random times, so
-        that they have nothing in common, as those have that are taken further apart than the motion remembers.
+        Vibration is drawn as oscillations and averaged over the exposure. Frames start at random times: they are
+        uncorrelated, as frames are that lie apart by more than the correlation time of the motion.
         """
         config, spectrum = self.config, self.spectrum
         if not config.seeing_arcsec and spectrum is None:
             return None
-        here = streams.child("collimator")
-        offset = config.seeing_arcsec * here.generator("seeing").standard_normal((frames, 2))
+        streams = streams.child("collimator")
+        offset = config.seeing_arcsec * streams.generator("seeing").standard_normal((frames, 2))
         if spectrum is not None:
-            still = ConstantRate(initial=Rotation.identity(), rate_rad_per_s=np.zeros(3), end_s=exposure_s)
-            moving = jittered(still, spectrum, streams=here)
+            rest = ConstantRate(initial=Rotation.identity(), rate_rad_per_s=np.zeros(3), end_s=exposure_s)
+            moving = jittered(rest, spectrum, streams=streams)
             nodes, weight = gauss_times(16 + int(STEPS_PER_CYCLE * spectrum.frequency_hz[-1] * exposure_s))
             rate, phase = (2.0j * np.pi * moving.frequency_hz[:2], 1.0j * moving.phase_rad[:2])
             swing = moving.amplitude_rad[:2] * (np.exp(rate[..., None] * nodes * exposure_s) @ weight)
             last_s = LONG_CYCLES / spectrum.frequency_hz[0]
-            start_s = here.generator("start").uniform(0.0, last_s, frames)[:, None, None]
+            start_s = streams.generator("start").uniform(0.0, last_s, frames)[:, None, None]
             offset += (swing * np.exp(rate * start_s + phase)).real.sum(-1) / ARCSEC_RAD
         return np.asarray(offset / pixel_arcsec)
 
@@ -183,6 +183,9 @@ def build_collimator(
                 f"({setting}); give one for each"
             )
         get_glass(config.wedge_glass)
-        ways = config.wedge_direction_deg or (0.0,) * len(filters)
-        wedge = {band.name: (angle, way) for band, angle, way in zip(filters, config.wedge_arcsec, ways, strict=True)}
+        azimuths = config.wedge_direction_deg or (0.0,) * len(filters)
+        wedge = {
+            band.name: (angle, azimuth)
+            for band, angle, azimuth in zip(filters, config.wedge_arcsec, azimuths, strict=True)
+        }
     return None if config == type(config)() else Collimator(config=config, wedge=wedge)

@@ -161,7 +161,7 @@ def collimator_shift(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LineOfSight:
+class LineOfSightMotion:
     """Motion of the line of sight in the laboratory, per axis, 3 sigma: closed form, and motion common to the stars."""
 
     frame_to_frame_arcsec: float = col("Line of sight from frame to frame, predicted", "arcsec", ".3f")
@@ -170,10 +170,10 @@ class LineOfSight:
     ratio: Sequence[Measured] = col("Measured / predicted motion of the line of sight", dims="axis")
 
 
-LINE_OF_SIGHT = Section(record=LineOfSight, verdicts=[ratio_near("ratio", within=MOTION_RATIO)])
+LINE_OF_SIGHT = Section(record=LineOfSightMotion, verdicts=[ratio_near("ratio", within=MOTION_RATIO)])
 
 
-def line_of_sight(bench: Bench, instrument: Instrument, motion_px2: FloatArray) -> LineOfSight | None:
+def line_of_sight(bench: Bench, instrument: Instrument, motion_px2: FloatArray) -> LineOfSightMotion | None:
     """Motion common to the stars (levels, 2, 2) [px^2] against the integral of the spectrum.
 
     None for a line of sight at rest, or of a single star.
@@ -185,7 +185,7 @@ def line_of_sight(bench: Bench, instrument: Instrument, motion_px2: FloatArray) 
     scale, motion_px = 3.0 * instrument.pixel_arcsec, np.sqrt(np.maximum(variance_px2, 0.0))
     # of a standard deviation from so many frames, to which the mean error of the stars adds its variance
     relative = (1.0 + star_mean_px2.mean() / between**2) / np.sqrt(2.0 * bench.frames * len(motion_px2))
-    return LineOfSight(
+    return LineOfSightMotion(
         frame_to_frame_arcsec=float(scale * between),
         within_frame_arcsec=float(scale * within),
         measured_arcsec=measured(scale * motion_px, np.full(2, scale * between * relative)),

@@ -22,9 +22,9 @@ from optics.units import ARCSEC_RAD, DEG_RAD
 class HexapodPath:
     """Poses of a run; rotation vectors (m, 3) [rad]."""
 
-    commanded_rad: FloatArray  # (m, 3) What was asked for, where the platform went, what it reported
-    true_rad: FloatArray  # (m, 3)
-    read_rad: FloatArray  # (m, 3)
+    commanded_rad: FloatArray
+    true_rad: FloatArray  # Reached
+    read_rad: FloatArray  # Reported
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -45,5 +45,5 @@ def step_path(hexapod: HexapodConfig, steps: StepConfig, pixel_arcsec: float, rn
 
 def turned(direction: FloatArray, pose_rad: FloatArray) -> FloatArray:
     """Unit vectors (m, j, 3) in cam of target points (j, 3) at m poses (m, 3)."""
-    out = np.stack([Rotation.from_rotvec(pose).apply(direction) for pose in np.array(pose_rad)])
-    return np.asarray(out / np.linalg.norm(out, axis=-1, keepdims=True))
+    vectors = np.stack([Rotation.from_rotvec(pose).apply(direction) for pose in np.array(pose_rad)])
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))

@@ -47,20 +47,25 @@ class CollimatorConfig(StrictModel):
 
     @model_validator(mode="after")
     def _tables(self) -> CollimatorConfig:
-        for at, of in (("focus_wavelength_nm", "focus_um"), ("vibration_hz", "vibration_arcsec2_per_hz")):
-            known, values = getattr(self, at), getattr(self, of)
-            if len(known) != len(values):
-                raise ValueError(f"{of} has {len(values)} values for {len(known)} of {at}; give one for each")
-            if len(known) == 1 or any(b <= a for a, b in zip((0.0, *known), known, strict=False)):
-                raise ValueError(f"{at} = {list(known)}: at least two increasing values above 0 are needed")
-        for name, limit in (("focus_um", 1e5), ("offset_mm", 1000.0), ("air_gradient_k_per_m", 100.0)):
-            worst = max(map(abs, getattr(self, name)), default=0.0)
-            if not worst <= limit:
-                raise ValueError(f"{name}: {worst:g} is outside -{limit:g} ... {limit:g}")
-        worst = min(self.vibration_arcsec2_per_hz, default=1.0)
-        if not worst > 0:
-            raise ValueError(f"vibration_arcsec2_per_hz: {worst:g} is not above 0")
+        for abscissa, ordinate in (("focus_wavelength_nm", "focus_um"), ("vibration_hz", "vibration_arcsec2_per_hz")):
+            nodes, values = getattr(self, abscissa), getattr(self, ordinate)
+            if len(nodes) != len(values):
+                raise ValueError(
+                    f"{ordinate} has {len(values)} values for {len(nodes)} of {abscissa}; give one for each"
+                )
+            if len(nodes) == 1 or any(b <= a for a, b in zip((0.0, *nodes), nodes, strict=False)):
+                raise ValueError(f"{abscissa} = {list(nodes)}: at least two increasing values above 0 are needed")
+        self._check_range(focus_um=1e5, offset_mm=1000.0, air_gradient_k_per_m=100.0)
+        lowest = min(self.vibration_arcsec2_per_hz, default=1.0)
+        if not lowest > 0:
+            raise ValueError(f"vibration_arcsec2_per_hz: {lowest:g} is not above 0")
         return self
+
+    def _check_range(self, **limits: float) -> None:
+        for name, limit in limits.items():
+            largest = max(map(abs, getattr(self, name)), default=0.0)
+            if not largest <= limit:
+                raise ValueError(f"{name}: {largest:g} is outside -{limit:g} ... {limit:g}")
 
 
 class FilteredCollimatorConfig(CollimatorConfig):
@@ -88,10 +93,7 @@ class FilteredCollimatorConfig(CollimatorConfig):
                 f"wedge_direction_deg has {len(self.wedge_direction_deg)} values for {len(self.wedge_arcsec)} of "
                 "wedge_arcsec; give one for each, or none"
             )
-        for name, limit in (("wedge_arcsec", 3600.0), ("wedge_direction_deg", 360.0)):
-            worst = max(map(abs, getattr(self, name)), default=0.0)
-            if not worst <= limit:
-                raise ValueError(f"{name}: {worst:g} is outside -{limit:g} ... {limit:g}")
+        self._check_range(wedge_arcsec=3600.0, wedge_direction_deg=360.0)
         if self.filter_distance_mm is not None and self.filter_distance_mm > self.focal_length_mm:
             raise ValueError(
                 f"filter_distance_mm = {self.filter_distance_mm:g}: at most focal_length_mm = "

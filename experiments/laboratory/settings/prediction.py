@@ -23,8 +23,8 @@ class StarConfig(StrictModel):
     )
 
 
-class SkyConfig(StrictModel):
-    """Attitudes, uniform over all rotations, for which the sky is looked up."""
+class SkySampleConfig(StrictModel):
+    """Attitudes, uniform over all rotations, at which the sky is sampled."""
 
     attitudes: int = Field(default=600, ge=10, le=100_000, description="number of attitudes")
 
@@ -54,7 +54,7 @@ class PredictedSensorConfig(SensorExperimentConfig, SensorConfig):
     dark_frames: int = Field(default=20, ge=1, le=1000, description="dark frames averaged and subtracted")
     star: StarConfig = StarConfig()
     slew: SlewConfig = SlewConfig()
-    sky: SkyConfig = SkyConfig()
+    sky: SkySampleConfig = SkySampleConfig()
 
     @model_validator(mode="after")
     def _shutter(self) -> PredictedSensorConfig:
@@ -79,10 +79,10 @@ def aged_config(config: Sensor, fraction: float) -> Sensor:
     detector = overridden(configured_detector(setting), config.detector)
     detector = aged_detector(detector, config.life, fraction, temperature_c=setting.chip_temperature_c)
     names = ("dark_current_e_per_s", "damage_centres_per_px", "damage_dark_e_per_s")
-    grown = {name: getattr(detector, name) for name in names}
+    aged = {name: getattr(detector, name) for name in names}
     return config.model_copy(
         update={
-            "detector": config.detector.model_copy(update=grown),
+            "detector": config.detector.model_copy(update=aged),
             "throughput_fraction": config.throughput_fraction * aged_transmission(config.life, fraction),
         }
     )

@@ -27,21 +27,21 @@ ACC18_SUMS_ARCSEC: Mapping[str, tuple[float, float]] = {
 ACC18_TABLE1_PX: Mapping[str, tuple[float, float]] = {"600-500": (-1e-4, 5e-3), "800-600": (0.12, 7e-3)}
 """ACC18 Table 1, (X, Y): mean shift between filters, halved, by the wavelengths of the filters."""
 
-_OPEN = ("defocus_mm", "exposure_s", "diffraction")
-"""Of the instrument, what ACC18 does not state, and how stars are rendered; an instrument that differs in these is
-still the published one."""
+_UNSTATED = ("defocus_mm", "exposure_s", "diffraction")
+"""Keys of the instrument that the published sensor does not fix: ACC18 states no focus and no exposure, and diffraction
+is a choice of the renderer."""
 
 
 def is_published_sensor(config: BaseModel) -> bool:
-    """Whether a configuration runs the published sensor, so that its numbers compare with published ones. Lens,
-    detector, pass band and filters (as far as the experiment has them) have to be the defaults; focus and exposure are
-    free, for the document states neither, and stars may be rendered by rays or by waves.
+    """Whether a configuration runs the published sensor, so that its numbers compare with published ones.
+
+    Lens, detector, pass band and filters (as far as the experiment has them) have to be the defaults.
     """
     standard = {"instrument": InstrumentConfig(), "passband": PassbandConfig(), "filters": FilterConfig()}
-    for key, wanted in standard.items():
-        given = getattr(config, key, wanted)
-        if isinstance(given, InstrumentConfig):
-            given = given.model_copy(update={name: getattr(wanted, name) for name in _OPEN})
-        if given != wanted:
+    for key, default in standard.items():
+        configured = getattr(config, key, default)
+        if isinstance(configured, InstrumentConfig):
+            configured = configured.model_copy(update={name: getattr(default, name) for name in _UNSTATED})
+        if configured != default:
             return False
     return True

@@ -24,16 +24,16 @@ class SensorConfig(SensorFile):
 
 
 class SensorExperimentConfig(ExperimentConfig):
-    """Base of the configuration of an experiment on a star sensor: it takes the keys of a sensor file that it has."""
+    """Base of the configuration of an experiment on a star sensor: it reads its keys from a sensor file."""
 
-    _focused_mm: float | None = PrivateAttr(default=None)  # Where the best focus was asked for
+    _focused_mm: float | None = PrivateAttr(default=None)  # Best focus, where ``defocus_mm = "best"``
 
     @classmethod
     def of_sensor(cls, file: Path) -> dict[str, Any]:
-        """Settings of this experiment that a sensor file decides.
+        """Settings of this experiment from a sensor file.
 
-        The tables of the file are whole: a key that is left out in them has the default of `SensorConfig`, the same in
-        every experiment. Settings of the processing that the file lacks are the experiment's defaults.
+        A key that a table of the file omits has the default of `SensorConfig`, the same in every experiment. Settings
+        of the processing that the file omits have the defaults of the experiment.
         """
         for key in read_toml(file) if file.suffix == ".toml" else ():
             if key in cls.model_fields and key not in SensorConfig.model_fields:
@@ -59,12 +59,12 @@ class SensorExperimentConfig(ExperimentConfig):
         """Settings taken from the lens file of the instrument, and detector values that are not from its data sheet."""
         instrument, passband = getattr(self, "instrument", None), getattr(self, "passband", None)
         focus = self._focused_mm
-        words = () if focus is None else (f"In focus for the pass band: instrument.defocus_mm = {focus:g} mm.",)
-        told = () if instrument is None else (*lens_remarks(instrument, passband), *detector_remarks(instrument))
-        return (*words, *told)
+        focused = () if focus is None else (f"In focus for the pass band: instrument.defocus_mm = {focus:g} mm.",)
+        hardware = () if instrument is None else (*lens_remarks(instrument, passband), *detector_remarks(instrument))
+        return (*focused, *hardware)
 
     def notes(self) -> tuple[str, ...]:
-        """The same of a detector that is the user's own file, for the terminal."""
+        """Remarks on a detector from a file of the user, for the terminal."""
         from render.detector.spec import list_detectors
 
         instrument = getattr(self, "instrument", None)
@@ -74,10 +74,9 @@ class SensorExperimentConfig(ExperimentConfig):
 
     def as_sensor(self, file: Path | None) -> SensorConfig | None:
         """The sensor file of this configuration; parameters as of `ExperimentConfig.as_sensor`."""
-        known = SensorConfig.model_fields
-        given = {} if file is None else read_sensor(file, SensorConfig)
-        own = {key: value for key, value in self.model_dump().items() if key in known}
-        return parse_model(SensorConfig, {**given, **own}, "sensor file")
+        of_file = {} if file is None else read_sensor(file, SensorConfig)
+        configured = {key: value for key, value in self.model_dump().items() if key in SensorConfig.model_fields}
+        return parse_model(SensorConfig, {**of_file, **configured}, "sensor file")
 
 
 def detector_remarks(instrument: InstrumentConfig) -> tuple[str, ...]:
@@ -86,5 +85,5 @@ def detector_remarks(instrument: InstrumentConfig) -> tuple[str, ...]:
 
     try:
         return configured_detector(instrument).remarks()
-    except StarbenchError:  # what cannot be read is told where it is needed
+    except StarbenchError:  # the reader of the detector raises it again
         return ()

@@ -1,8 +1,8 @@
-"""Acquisition of star vectors (S200): one frame and one table reading at every place, at rest or in motion.
+"""Acquisition of star vectors (S200): a frame and a table reading at every position, at rest or in motion.
 
 In motion the second axis turns at a constant rate during the exposure, and the image is a streak, rendered as the star
-at several instants of the exposure with equal shares of the light. The reading belongs to the middle of the exposure;
-the clocks of table and camera jitter against each other, so that a reading is off by the rate times the time error.
+at several instants of the exposure with equal fractions of the light. The reading belongs to the middle of the
+exposure; jitter between the clocks of table and camera is an error of the reading, the rate times the time error.
 
 The reduction uses the calibrated camera, the readings and the rate. Windows are placed at the predicted star, and
 centroids use the PSF of the lens, smeared along the path of the image for a moving table.
@@ -37,19 +37,20 @@ from render.sensor_file.instrument import Instrument
 from render.tracing.psf import epsf_tracer, render_epsf
 
 CHUNK = 32
-"""Places whose response is found at once; bounds the memory."""
-FEWEST_SEEN = 0.9
-"""Part of the places that must give a position."""
-SEEN_SIGMA = 5.0
-LEAST_SHARE = 0.5
-"""Of the star's electrons that a window must hold."""
+"""Windows whose response is computed at once; bounds the memory."""
+DETECTION_SIGMA = 5.0
+"""Least signal-to-noise ratio of a window with a star."""
+DETECTED_FRACTION = 0.9
+"""Least fraction of positions at which the star is detected."""
+ENCLOSED_FRACTION = 0.5
+"""Least fraction of the star's electrons within its window."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Motion:
+class TableMotion:
     """Motion of the table during the exposure."""
 
-    rate_rad_per_s: float = 0.0  # Speed of the second axis (the inner one of two); 0: at rest
+    rate_rad_per_s: float = 0.0  # Of the second axis (the inner one of two); 0: at rest
     jitter_s: float = 0.0  # Standard deviation between mid-exposure and reading
     samples: int = 1  # Instants that are rendered
 
@@ -59,13 +60,13 @@ class Motion:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Places:
-    """Angles of the table at n places, at mid-exposure."""
+class TablePositions:
+    """Angles of a table with k axes at n positions, at mid-exposure."""
 
-    true_rad: FloatArray  # (n, k) As they are; as they are read
+    true_rad: FloatArray  # (n, k)
     reading_rad: FloatArray  # (n, k)
     rate_rad_per_s: FloatArray  # (n, k) Of the axes
-    motion: Motion  # Of the second one
+    motion: TableMotion  # Of the second axis
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -85,15 +86,14 @@ class Places:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Acquisition:
-    """Star images of one acquisition, of n places with a position."""
+    """Star images of an acquisition at n positions where the star was detected."""
 
     name: str  # "static" or "dynamic"
-    places: Places  # Angles
+    places: TablePositions  # Angles
     position_px: FloatArray  # (n, 2) Centroids of single frames
-    # (n, 2, 2) Predicted, pixel by pixel: photons, read noise, rounding, dark frames, response pattern
-    covariance_px2: FloatArray
+    covariance_px2: FloatArray  # (n, 2, 2) Predicted: photons, read noise, rounding, dark frames, response pattern
     bundle_px: FloatArray  # (n, 2) Truth: mean of the traced rays over the exposure
-    lost: int  # Places without a position
+    lost: int  # Positions without detection
 
     def __post_init__(self) -> None:
         sizes = {"n": len(self.places)}
@@ -101,23 +101,24 @@ class Acquisition:
 
 
 def visit_once(
-    bench: StarBench, wanted_cam: FloatArray, roll_rad: FloatArray, motion: Motion, columns: int, streams: Streams
-) -> Places:
-    """Turn the table to every place, or through it; read each axis once."""
+    bench: StarBench, wanted_cam: FloatArray, roll_rad: FloatArray, motion: TableMotion, columns: int, streams: Streams
+) -> TablePositions:
+    """Turn the table to every position, or through it; read each axis once."""
     assert isinstance(bench.table, Turntable)
     true = bench.table.set(aiming_angles(bench, wanted_cam, roll_rad), streams)
     rate = np.zeros_like(true)
     rate[:, 1] = np.where(np.arange(len(true)) // columns % 2, -1, 1)
     rate *= motion.rate_rad_per_s
-    late = motion.jitter_s * streams.child("clock").generator("jitter").standard_normal((len(true), 1))
-    reading = bench.table.read(true + rate * late, streams)
-    return Places(true_rad=true, reading_rad=reading, rate_rad_per_s=rate, motion=motion)
+    delay_s = motion.jitter_s * streams.child("clock").generator("jitter").standard_normal((len(true), 1))
+    reading = bench.table.read(true + rate * delay_s, streams)
+    return TablePositions(true_rad=true, reading_rad=reading, rate_rad_per_s=rate, motion=motion)
 
 
 def merged_nodes(stars: StarField) -> StarField:
     """The same light on half the wavelengths: neighbours become one node at their photon-weighted mean.
 
-    First moments in wavelength are kept, so that a linear lateral colour is; a streak has ten times as many stars.
+    First moments in wavelength are conserved, and with them a linear lateral colour. A streak has ten times as many
+    stars, for which half the nodes are half the time.
     """
     if stars.wavelength_nm.shape[1] % 2:
         return stars
@@ -133,14 +134,14 @@ def merged_nodes(stars: StarField) -> StarField:
 
 def place_psfs(star: SingleStar, direction: FloatArray, instrument: Instrument, half_px: int) -> FloatArray:
     """PSFs (n, m, m) at directions (n, 3); the oversampling is that of `render.tracing.psf.render_epsf`."""
-    light = merged_nodes(star.seen(direction, instrument))
+    light = merged_nodes(star.field(direction, instrument))
     tracer = epsf_tracer(instrument.camera)
     return np.stack([row[0].values for row in render_epsf(tracer, light, half_size_px=half_px)])
 
 
 def acquire(
     name: str,
-    places: Places,
+    places: TablePositions,
     bench: StarBench,
     star: SingleStar,
     psfs: Sequence[EffectivePsf],
@@ -151,11 +152,11 @@ def acquire(
     dark_frames: int,
     streams: Streams,
 ) -> Acquisition:
-    """Render, read, centroid."""
+    """Render, read out, centroid."""
     exposure_s = instrument.config.exposure_s
-    seen = places.directions(bench, exposure_s)
-    count, instants, _ = seen.shape
-    light = merged_nodes(star.seen(seen.reshape(-1, 3), instrument))
+    direction = places.directions(bench, exposure_s)
+    count, instants, _ = direction.shape
+    light = merged_nodes(star.field(direction.reshape(-1, 3), instrument))
     renderer = StarRenderer(instrument.camera, exposure_s=exposure_s)
     expected = renderer.render(replace(light, photon_rate=light.photon_rate / instants))
     truth = expected.truth
@@ -176,7 +177,7 @@ def acquire(
 
 def _measured(
     name: str,
-    places: Places,
+    places: TablePositions,
     stamps: Stamps,
     noise: NoiseModel,
     psfs: Sequence[EffectivePsf],
@@ -185,20 +186,20 @@ def _measured(
     instrument: Instrument,
     dark_frames: int,
 ) -> Acquisition:
-    """Centroids and their covariance; places without a position are dropped."""
+    """Centroids and their covariance; positions without detection are dropped."""
     advice = f"lower evaluation.signal_e (up to {float(light_e.sum((1, 2)).max()):.0f} e- in a window)"
     refuse_saturated(stamps, len(stamps), where=f"{name} acquisition", advice=advice)
     position = measured_positions(get_centroider("epsf", epsf=list(psfs)), stamps, noise, 1)[0]
     electrons, pixel = light_e.astype(np.float64), instrument.pixel_noise()
-    seen_e2 = pixel.temporal_e2(electrons, dark_frames=dark_frames)
-    faint = stamps.electrons.sum((1, 2)) < SEEN_SIGMA * np.sqrt(seen_e2.sum((1, 2)))
+    temporal_e2 = pixel.temporal_e2(electrons, dark_frames=dark_frames)
+    faint = stamps.electrons.sum((1, 2)) < DETECTION_SIGMA * np.sqrt(temporal_e2.sum((1, 2)))
     good = np.isfinite(position[:, 0]) & ~faint
-    if good.mean() < FEWEST_SEEN:
+    if good.mean() < DETECTED_FRACTION:
         raise DomainError(
             f"{name} acquisition: the star gives a position at {int(good.sum())} of {len(good)} places only, at least "
-            f"{FEWEST_SEEN:.0%} are needed; raise evaluation.signal_e or narrow the window"
+            f"{DETECTED_FRACTION:.0%} are needed; raise evaluation.signal_e or narrow the window"
         )
-    variance = seen_e2 + pixel.response_e2(electrons)
+    variance = temporal_e2 + pixel.response_e2(electrons)
     chunks = [slice(first, first + CHUNK) for first in range(0, len(electrons), CHUNK)]
     covariance = np.concatenate(
         [_covariance(psfs[k], stamps.select(k), noise, electrons[k], variance[k]) for k in chunks]
@@ -221,25 +222,25 @@ def _measured(
 def _covariance(
     psfs: Sequence[EffectivePsf], stamps: Stamps, noise: NoiseModel, light_e: FloatArray, variance_e2: FloatArray
 ) -> FloatArray:
-    """Covariance (k, 2, 2) of the centroids of k places through their linear response."""
-    chosen = replace(stamps, psf_index=np.arange(len(psfs)))
-    gain = linear_response(get_centroider("epsf", epsf=list(psfs)), chosen, noise, light_e)
+    """Covariance (k, 2, 2) of the centroids of k windows through their linear response."""
+    indexed = replace(stamps, psf_index=np.arange(len(psfs)))
+    gain = linear_response(get_centroider("epsf", epsf=list(psfs)), indexed, noise, light_e)
     return centroid_covariance(gain, variance_e2)
 
 
 def _check_inside(
-    name: str, window_e: NDArray[Any], sent_e: FloatArray, expected_px: FloatArray, window_px: int
+    name: str, window_e: NDArray[Any], star_e: FloatArray, expected_px: FloatArray, window_px: int
 ) -> None:
-    share = window_e.sum((1, 2)) / np.maximum(sent_e, 1e-300)
-    if share.min() < LEAST_SHARE:
-        at = int(np.argmin(share))
+    fraction = window_e.sum((1, 2)) / np.maximum(star_e, 1e-300)
+    if fraction.min() < ENCLOSED_FRACTION:
+        at = int(np.argmin(fraction))
         raise DomainError(
-            f"{name} acquisition: only {share[at]:.0%} of the star's light falls into the window of {window_px} px at "
-            f"column {expected_px[at, 0]:.0f}, row {expected_px[at, 1]:.0f}; the image is vignetted, off the detector "
-            "or smeared beyond the window (dynamic.rate_deg_per_s times the exposure)"
+            f"{name} acquisition: only {fraction[at]:.0%} of the star's light falls into the window of {window_px} px "
+            f"at column {expected_px[at, 0]:.0f}, row {expected_px[at, 1]:.0f}; the image is vignetted, off the "
+            "detector or smeared beyond the window (dynamic.rate_deg_per_s times the exposure)"
         )
 
 
-def smear_px(motion: Motion, instrument: Instrument) -> float:
+def smear_px(motion: TableMotion, instrument: Instrument) -> float:
     """Length of the streak on the axis [px]."""
     return abs(motion.rate_rad_per_s) * instrument.config.exposure_s / (instrument.pixel_arcsec * ARCSEC_RAD)

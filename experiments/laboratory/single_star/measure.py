@@ -1,4 +1,4 @@
-"""Rendering and measurement of the star at all places of its image; the map of the traced lens, without a model."""
+"""Rendering and measurement of the star at all positions of its image; the map of the traced lens."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.calibration.star_bench import StarBench
 from calib.calibration.table_reduction import PoseData
-from experiments.laboratory.single_star.settings import SingleStarConfig, TableConfig
+from experiments.laboratory.single_star.settings import SingleStarConfig, TurntableConfig
 from experiments.laboratory.single_star.setup import build_bench, build_star, grid_px
 from experiments.laboratory.single_star.star_readings import StarReadings, WindowPlan, read_windows
 from experiments.laboratory.single_star.visits import Visits, visit
@@ -30,11 +30,11 @@ MAP_COLUMNS, MAP_ROWS = 33, 17
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measurement:
-    """One table's run."""
+    """A run on a table."""
 
-    bench: StarBench  # As it really is
+    bench: StarBench  # True geometry
     visits: Visits  # Angles and directions
-    bundle_px: FloatArray  # (n, 2) Truth: mean of the traced bundle at every place
+    bundle_px: FloatArray  # (n, 2) Truth: mean of the traced bundle at every position
     readings: StarReadings  # Centroids
 
     def __post_init__(self) -> None:
@@ -53,19 +53,19 @@ class Measurement:
 def measure(
     config: SingleStarConfig,
     instrument: Instrument,
-    table: TableConfig,
+    table: TurntableConfig,
     streams: Streams,
     *,
     advance: Callable[[], None],
 ) -> Measurement:
-    """Turn, render, read."""
+    """Turn the table, render, read out."""
     camera, bench = instrument.camera, build_bench(config, table)
     wanted = grid_px(config, instrument)
     aimed = camera.nominal_direction(wanted[:, 0], wanted[:, 1], instrument.focal_length_mm)
     rolls = np.radians(table.rolls_deg)
     visits = visit(bench, wanted, aimed, rolls[np.arange(len(wanted)) % len(rolls)], streams, readings=config.frames)
     _check_field(visits, instrument)
-    stars = build_star(config, instrument).seen(visits.direction, instrument)
+    stars = build_star(config, instrument).field(visits.direction, instrument)
     advance()
     expected = StarRenderer(camera, exposure_s=instrument.config.exposure_s).render(stars)
     assert expected.truth is not None
@@ -103,9 +103,9 @@ def traced_map(config: SingleStarConfig, instrument: Instrument) -> TracedMap:
         camera.lens.max_field_deg * DEG_RAD
     )
     direction = direction[within]
-    pixel = Tracer(camera).bundle_means(build_star(config, instrument).seen(direction, instrument))[:, 0]
-    seen = np.isfinite(pixel).all(axis=1)
-    return TracedMap(direction=direction[seen], pixel_px=pixel[seen])
+    pixel = Tracer(camera).bundle_means(build_star(config, instrument).field(direction, instrument))[:, 0]
+    traced = np.isfinite(pixel).all(axis=1)
+    return TracedMap(direction=direction[traced], pixel_px=pixel[traced])
 
 
 def _check_field(visits: Visits, instrument: Instrument) -> None:

@@ -20,7 +20,7 @@ ReadingArcsec = Annotated[float, Field(ge=-1e5, le=1e5)]
 """Type of an error of a turntable in a list of them."""
 
 
-class StarConfig(SignalConfig):
+class StarSimulatorConfig(SignalConfig):
     """Single-star simulator; its direction is an unknown of the calibration."""
 
     default_signal_e: ClassVar[float] = 12000.0
@@ -43,7 +43,7 @@ class StarConfig(SignalConfig):
     )
 
 
-class TableConfig(StrictModel):
+class TurntableConfig(StrictModel):
     """A turntable; one number for all axes, or one per axis, outermost first."""
 
     axes: str = Field(description="axes, outermost first, as letters of the laboratory frame, minus for left turns")
@@ -80,7 +80,7 @@ class SingleStarConfig(OwnFramesConfig):
     installation_deg: tuple[AngleDeg, AngleDeg, AngleDeg] = Field(
         default=(0.4, -0.7, 1.2), description="true installation (cam from table top), rotation vector"
     )
-    star: StarConfig = StarConfig()
+    star: StarSimulatorConfig = StarSimulatorConfig()
     grid: GridConfig = GridConfig()
     frames: int = Field(default=10, ge=2, le=10000, description="frames per position, each with a reading of the table")
     dark_frames: int = Field(default=30, ge=2, le=10000, description="dark frames per position")

@@ -15,7 +15,7 @@ from experiments.laboratory.bench.readout.search import SEARCH_PX
 from experiments.laboratory.bench.signal import Signal, signal_of
 from experiments.laboratory.devices.turntable import Turntable, build_turntable
 from experiments.laboratory.settings.tables import SignalConfig
-from experiments.laboratory.single_star.settings import SingleStarConfig, TableConfig
+from experiments.laboratory.single_star.settings import SingleStarConfig, TurntableConfig
 from experiments.laboratory.single_star.star import SingleStar
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
@@ -24,9 +24,10 @@ from render.sensor_file.filters import open_band
 from render.sensor_file.instrument import Instrument, build_instrument
 
 START_ROUNDING = 0.05
-"""A start focal length is the paraxial one rounded to this part of it."""
+"""Step of the start focal length, as a fraction of the paraxial focal length."""
 LEAST_COVERAGE = 0.5
-"""Of the width and of the height of the detector; below, a calibration says nothing about the rest of the field."""
+"""Least fraction of the width and of the height of the detector that the grid covers; a calibration does not
+extrapolate."""
 
 
 def camera_under_test(config: SingleStarConfig) -> Instrument:
@@ -54,7 +55,7 @@ def star_signal(config: SingleStarConfig, instrument: Instrument, brightness: Si
     return signal_of(brightness or config.star, band, instrument, config.star.temperature_k)
 
 
-def build_table(config: TableConfig, axes: str | None = None) -> Turntable:
+def build_table(config: TurntableConfig, axes: str | None = None) -> Turntable:
     """The table of a configuration; ``axes``, if given, are the axes assumed by the reduction."""
     return build_turntable(
         axes or config.axes,
@@ -66,15 +67,14 @@ def build_table(config: TableConfig, axes: str | None = None) -> Turntable:
     )
 
 
-def check_table(key: str, config: TableConfig, count: int) -> None:
-    """Refuse a table of another number of axes, or with a number of errors that does not fit to them."""
+def check_table(key: str, config: TurntableConfig, count: int) -> None:
+    """Refuse a table with another number of axes, or a number of errors that does not match them."""
     try:
         directions = axis_directions(config.axes)
     except ConfigError as error:
         raise ConfigError(f"{key}.axes: {error}") from None
-    found = len(directions)
-    if found != count:
-        raise ConfigError(f"{key}.axes = {config.axes!r}: {count} axes are needed, {found} given")
+    if len(directions) != count:
+        raise ConfigError(f"{key}.axes = {config.axes!r}: {count} axes are needed, {len(directions)} given")
     for outer, inner in pairwise(directions):
         if abs(float(outer @ inner)) > 0.5:
             raise ConfigError(
@@ -93,7 +93,7 @@ def _spread(values: tuple[float, ...]) -> float | tuple[float, ...]:
     return values[0] if len(values) == 1 else values
 
 
-def build_bench(config: SingleStarConfig, table: TableConfig) -> StarBench:
+def build_bench(config: SingleStarConfig, table: TurntableConfig) -> StarBench:
     """Star, table and mounting."""
     return StarBench(
         table=build_table(table),
@@ -103,7 +103,7 @@ def build_bench(config: SingleStarConfig, table: TableConfig) -> StarBench:
 
 
 def grid_px(config: SingleStarConfig, instrument: Instrument) -> FloatArray:
-    """Places (n, 2) that the image is to visit, row by row."""
+    """Grid (n, 2) of image positions, row by row."""
     grid, camera = config.grid, instrument.camera
     size = np.array([camera.width_px, camera.height_px])
     reach = size - 1 - 2 * grid.edge_px
@@ -120,11 +120,11 @@ def grid_px(config: SingleStarConfig, instrument: Instrument) -> FloatArray:
             "lower grid.edge_px, raise grid.columns or grid.rows"
         )
     x, y = (np.linspace(grid.edge_px, n - 1 - grid.edge_px, c) for n, c in zip(size, counts, strict=True))
-    apart = min(np.diff(x).min(), np.diff(y).min())
-    if apart < SEARCH_PX + config.window_px:  # one image holds the star at all places
+    pitch_px = min(np.diff(x).min(), np.diff(y).min())
+    if pitch_px < SEARCH_PX + config.window_px:  # one image holds the star at all positions
         raise DomainError(
-            f"{grid.columns} x {grid.rows} places lie {apart:.0f} px apart; at least {SEARCH_PX + config.window_px} px "
-            "is needed: lower grid.columns or grid.rows"
+            f"{grid.columns} x {grid.rows} places lie {pitch_px:.0f} px apart; at least {SEARCH_PX + config.window_px} "
+            "px is needed: lower grid.columns or grid.rows"
         )
     return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
 

@@ -22,10 +22,10 @@ NODES = 16
 class SingleStar:
     """A collimated star; the collimator of the single-star bench is free of colour and of divergence."""
 
-    azimuth_deg: float  # Where it stands in the laboratory (`star_direction`)
+    azimuth_deg: float  # Direction in the laboratory (`star_direction`)
     elevation_deg: float
-    spectrum: Sed  # Its light
-    band: Band  # What the simulator's filter lets through
+    spectrum: Sed
+    band: Band  # Of the simulator's filter
     signal_e: float  # Electrons per exposure on the axis of the camera
 
     def __post_init__(self) -> None:
@@ -37,8 +37,8 @@ class SingleStar:
         """Unit vector (3,) in the laboratory."""
         return star_direction(self.azimuth_deg, self.elevation_deg)
 
-    def seen(self, direction_cam: FloatArray, instrument: Instrument) -> StarField:
-        """The star as the camera sees it."""
+    def field(self, direction_cam: FloatArray, instrument: Instrument) -> StarField:
+        """Star field of the star at directions (n, 3) in cam, n orientations of the camera."""
         nodes = band_nodes([self.band], NODES)
         shape = nodes.weight_nm * nodes.transmission * self.spectrum.photon_density(nodes.wavelength_nm)
         camera = instrument.camera

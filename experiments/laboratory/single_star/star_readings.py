@@ -1,6 +1,6 @@
-"""A star at many places of the detector: windows around it, read out, reduced, with predicted noise.
+"""A star at many positions on the detector: windows around it, read out, reduced, with predicted noise.
 
-At every place the star is searched in one wide window, then a small window around it is read out many times, and as
+At every position the star is searched in a wide window, then a small window around it is read out many times, and as
 often with the lamp off. The measurement is the mean centroid over the frames. Its covariance is predicted from the
 linear response of the centroider to each pixel, by the noise of that pixel: photons, read noise, rounding and dark
 current over the number of frames, the same of the dark frames, and the response pattern (PRNU), which averaging does
@@ -30,7 +30,7 @@ from render.sensor_file.instrument import Instrument
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WindowPlan:
-    """How windows are read: their side [px], frames with the star, frames with the lamp off."""
+    """Side of the windows [px], frames with the star, frames with the lamp off."""
 
     size_px: int
     frames: int
@@ -39,12 +39,12 @@ class WindowPlan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StarReadings:
-    """Mean centroids of a star at n places."""
+    """Mean centroids of a star at n positions."""
 
     position_px: FloatArray  # (n, 2) Mean over the frames
     covariance_px2: FloatArray  # (n, 2, 2) Of the mean, predicted (see the module)
     temporal_px: FloatArray  # (n, 2) Standard deviation of a single frame's centroid, measured
-    predicted_temporal_px: FloatArray  # (n, 2) The same, predicted
+    predicted_temporal_px: FloatArray  # (n, 2) Its prediction
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -67,7 +67,7 @@ def read_windows(
     *,
     streams: Streams,
 ) -> StarReadings:
-    """Find the star at every place, read windows around it, and reduce them."""
+    """Detect the star at every position, read windows around it, and reduce them."""
     reader, light_px = WindowReader(instrument, streams), expected.electrons[:, :, 0]
     centre = find_star(reader, light_px, near_px)
     size = instrument.camera.width_px, instrument.camera.height_px

@@ -1,4 +1,4 @@
-"""Places that the star's image visits: the table is set there and read."""
+"""Positions of the star's image: the table is set for each and read."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from render.engine.random import Streams
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Visits:
-    """n places that the star's image visits."""
+    """n positions that the star's image visits, with a table of k axes."""
 
-    wanted_px: FloatArray  # (n, 2) Where the image was to be
-    true_rad: FloatArray  # (n, k) Angles of the table as they are and as they are read, mean of all readings
-    reading_rad: FloatArray  # (n, k)
+    wanted_px: FloatArray  # (n, 2) Commanded image positions
+    true_rad: FloatArray  # (n, k) Angles of the table
+    reading_rad: FloatArray  # (n, k) Mean of all readings
     direction: FloatArray  # (n, 3) Unit vectors in cam towards the star, at the true angles
 
     def __post_init__(self) -> None:
@@ -38,12 +38,12 @@ def visit(
     *,
     readings: int,
 ) -> Visits:
-    """Turn the table to every wanted place and read it there several times, with the errors of setting and reading."""
+    """Turn the table to every position and read it several times, with the errors of setting and reading."""
     assert isinstance(bench.table, Turntable)
     true = bench.table.set(aiming_angles(bench, wanted_cam, roll_rad), streams)
     return Visits(
         wanted_px=wanted_px,
         true_rad=true,
-        reading_rad=np.mean([bench.table.read(true, streams, call=i) for i in range(readings)], axis=0),
+        reading_rad=np.mean([bench.table.read(true, streams, call=call) for call in range(readings)], axis=0),
         direction=bench.star_in_cam(true),
     )

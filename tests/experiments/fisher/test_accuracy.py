@@ -18,7 +18,7 @@ from experiments.fisher.accuracy import Calibrated, _path_px, accuracy, same_dat
 from experiments.fisher.settings import Config, rendered
 from experiments.harness.progress import Progress
 from experiments.laboratory.devices.turntable import build_turntable
-from experiments.laboratory.single_star.acquisition import Motion, visit_once
+from experiments.laboratory.single_star.acquisition import TableMotion, visit_once
 from experiments.reduce.poses import PoseCalibration
 from experiments.turntable import own_frames as turntable_frames
 from optics.errors import StarbenchError
@@ -74,7 +74,7 @@ def rig():
 def taken_with(rig, seed, motion=None):
     """Images with centroid noise where the table truly stood, and its noisy readings."""
     wanted = rig.model.unproject(rig.model.geometry.grid_px(10))
-    places = visit_once(rig.true_bench, wanted, np.zeros(COUNT), motion or Motion(), 10, Streams(seed))
+    places = visit_once(rig.true_bench, wanted, np.zeros(COUNT), motion or TableMotion(), 10, Streams(seed))
     seen = rig.model.project(rig.bench.star_in_cam(np.array(places.true_rad)))
     noise = SIGMA_PX * np.random.default_rng(seed).standard_normal(seen.shape)
     return SimpleNamespace(
@@ -88,7 +88,7 @@ def taken_with(rig, seed, motion=None):
 
 def test_scatter_is_predicted_and_told_apart(rig):
     """40 acquisitions of 100 vectors: deviations of a normal distribution, a variance known to sqrt(2 / 40)."""
-    motion = Motion(rate_rad_per_s=2e-3, jitter_s=2e-3, samples=4)
+    motion = TableMotion(rate_rad_per_s=2e-3, jitter_s=2e-3, samples=4)
     made = [accuracy(rig, taken_with(rig, seed, motion)) for seed in range(40)]
     z = np.array([one.z_score for one, _, _ in made])
     # 1 % of the outliers are taken for what they are not, and their degrees with them
@@ -123,7 +123,7 @@ def test_scatter_is_predicted_and_told_apart(rig):
 
 
 def test_one_acquisition_in_numbers(rig):
-    taken = taken_with(rig, 4, Motion(rate_rad_per_s=2e-3, jitter_s=0.0, samples=4))
+    taken = taken_with(rig, 4, TableMotion(rate_rad_per_s=2e-3, jitter_s=0.0, samples=4))
     found, _, _ = accuracy(rig, taken)
     assert (found.n, found.lost, found.outliers) == (COUNT, 3, 0)
     assert found.streak_px == pytest.approx(2e-3 * 0.2 / PIXEL_RAD)

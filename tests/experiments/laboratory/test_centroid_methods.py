@@ -66,7 +66,7 @@ def test_a_new_centroider_that_needs_an_epsf_makes_two_methods(template):
 
 
 def test_labels_tell_the_centroider_and_the_epsf_it_is_given(template):
-    labels = MethodLabels(own="of each filter", reference="of all")
+    labels = MethodLabels(matched="of each filter", reference="of all")
     assert labels["template"] == "template match (of each filter)"
     assert labels["template_reference"] == "template match (of all)"
     assert labels["cog"] == "centre of gravity"
@@ -77,7 +77,7 @@ def test_labels_tell_the_centroider_and_the_epsf_it_is_given(template):
 
 def test_each_place_gets_its_own_psf_or_all_get_the_same(template):
     own = [psf(0), psf(1), psf(2)]
-    made = method_centroiders(("cog", "template", "template_reference"), own=own, reference=[own[1]] * 3)
+    made = method_centroiders(("cog", "template", "template_reference"), matched=own, reference=[own[1]] * 3)
     assert [type(one).__name__ for one in made.values()] == ["CentreOfGravity", "Template", "Template"]
     assert all(a is b for a, b in zip(made["template"].epsf, own, strict=True))
     assert [one is own[1] for one in made["template_reference"].epsf] == [True] * 3
@@ -85,10 +85,10 @@ def test_each_place_gets_its_own_psf_or_all_get_the_same(template):
 
 def test_a_psf_built_from_frames_serves_every_place_and_must_be_there(template):
     own = [psf(0), psf(1)]
-    made = method_centroiders(("epsf_measured",), own=own, reference=own, measured=psf(2))
+    made = method_centroiders(("epsf_measured",), matched=own, reference=own, measured=psf(2))
     np.testing.assert_array_equal([one.values for one in made["epsf_measured"].epsf], [psf(2).values] * 2)
     with pytest.raises(ConfigError, match="needs an ePSF built from frames"):
-        method_centroiders(("epsf_measured",), own=own, reference=own)
+        method_centroiders(("epsf_measured",), matched=own, reference=own)
     assert "epsf_measured" not in list_methods()
     assert [m for m in list_methods(measured=True) if needs_measured_epsf(m)] == ["epsf_measured", "template_measured"]
     assert MethodLabels()["epsf_measured"] == "ePSF fit (measured ePSF)"

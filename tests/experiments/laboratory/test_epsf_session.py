@@ -8,13 +8,13 @@ import pytest
 
 from calib.measure.centroid_error.expected_windows import noiseless_positions
 from calib.measure.centroiding.registry import get_centroider
-from experiments.laboratory.bench.epsf_session import _pixels, epsf_session, measured_epsf, predicted_epsfs
+from experiments.laboratory.bench.epsf_session import _chip_deviates, epsf_session, measured_epsf, predicted_epsfs
 from experiments.laboratory.bench.point_bench import one_filter
 from experiments.laboratory.bench.points import point_scene
 from experiments.laboratory.bench.ray_prediction import target_windows
 from experiments.laboratory.bench.readout.frames import nominal_noise
 from experiments.laboratory.settings.tables import HexapodConfig
-from experiments.laboratory.temporal_error import target_place
+from experiments.laboratory.temporal_error import star_target_directions
 from render.engine.random import Streams
 
 
@@ -26,7 +26,7 @@ def test_few_points_take_more_positions(bench_of):
 def test_a_pixel_has_one_response_at_all_positions():
     corner = np.array([[10, 20], [40, 20], [11, 20], [40, 19]])  # two stars at two positions
     windows = SimpleNamespace(corner_px=corner, light_e=np.zeros((4, 5, 6)))
-    drawn, seen = _pixels(windows, 2, np.random.default_rng(1)), {}
+    drawn, seen = _chip_deviates(windows, 2, np.random.default_rng(1)), {}
     for (x0, y0), window in zip(corner.tolist(), drawn, strict=True):
         for (y, x), value in np.ndenumerate(window):
             assert seen.setdefault((x0 + x, y0 + y), value) == value
@@ -38,7 +38,7 @@ def test_a_measured_psf_places_stars_as_the_predicted_and_the_true_one_do(engine
     """Rationale: same pixels, other PSFs. Expected: positions alike within what the noise of the session leaves."""
     bench = bench_of(rows=3, columns=3, frames=30, dark_frames=100)
     bench = replace(bench, target=bench.target.model_copy(update={"pitch_px": 40.4}))
-    scene, rest = point_scene(bench, small_camera), target_place(bench, small_camera)
+    scene, rest = point_scene(bench, small_camera), star_target_directions(bench, small_camera)
     psf = scene.psfs(rest)
     platform = HexapodConfig(step_error_arcsec=0.4, roll_error_arcsec=1.0, reading_error_arcsec=0.2)
     measured = measured_epsf(bench, small_camera, platform, psf=psf, streams=Streams(4), scene=scene)

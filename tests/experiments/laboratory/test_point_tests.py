@@ -14,7 +14,7 @@ from experiments.laboratory.distortion_model import predict_distortion
 from experiments.laboratory.high_frequency import measure_high_frequency, switched
 from experiments.laboratory.high_frequency_model import predict_high_frequency
 from experiments.laboratory.settings.tables import GridTargetConfig, HexapodConfig, StepConfig
-from experiments.laboratory.temporal_error import measure_temporal, predict_temporal, target_place
+from experiments.laboratory.temporal_error import measure_temporal, predict_temporal, star_target_directions
 from optics.errors import DomainError
 from render.engine.random import Streams
 
@@ -35,7 +35,7 @@ def scene(engine, bench, small_camera):
 
 @pytest.fixture(scope="module")
 def psf(scene, small_camera):
-    return scene.psfs(target_place(scene.bench, small_camera, PLACE))
+    return scene.psfs(star_target_directions(scene.bench, small_camera, PLACE))
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +121,7 @@ def test_switching_a_cause_off_keeps_the_other_patterns(small_camera):
 
 
 def test_raw_frames_keep_the_pattern_and_dark_subtraction_takes_it(scene, bench, small_camera):
-    light = scene.light(target_place(bench, small_camera, PLACE), Streams(5), "here")
+    light = scene.light(star_target_directions(bench, small_camera, PLACE), Streams(5), "here")
     error = {}
     for subtraction in ("dark", "raw"):
         frames = read_points(light, bench, small_camera, streams=Streams(5), subtraction=subtraction)

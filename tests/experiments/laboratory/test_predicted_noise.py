@@ -17,7 +17,7 @@ from calib.measure.centroid_error.cramer_rao_bound import flux_snr
 from experiments.dataset import truth as dataset_truth
 from experiments.laboratory.bench.points import point_scene
 from experiments.laboratory.bench.readout.frames import empty_frame, true_noise
-from experiments.laboratory.temporal_error import measure_temporal, predict_temporal, target_place
+from experiments.laboratory.temporal_error import measure_temporal, predict_temporal, star_target_directions
 from render.detector.readout import expose
 from render.engine.random import Streams
 from render.sensor_file.instrument import build_instrument
@@ -62,7 +62,7 @@ def test_temporal_error_of_a_point_target(engine, bench_of, camera):
     bench = replace(bench, target=bench.target.model_copy(update={"pitch_px": 40.4}))
     scene = point_scene(bench, camera)
     levels = {"levels_e": [6000.0], "place_px": (750.0, 375.0)}
-    psf = scene.psfs(target_place(scene.bench, camera, levels["place_px"]))
+    psf = scene.psfs(star_target_directions(scene.bench, camera, levels["place_px"]))
     measured = measure_temporal(bench, camera, streams=Streams(1), scene=scene, **levels)
     predicted = predict_temporal(bench, camera, psf=psf, draws=0, **levels)
     for method in bench.methods:

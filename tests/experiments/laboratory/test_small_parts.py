@@ -8,24 +8,24 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from experiments.laboratory.bench.centroid_methods import has_own_epsf
+from experiments.laboratory.bench.centroid_methods import has_matched_epsf
 from experiments.laboratory.bench.point_bench import motion_method
 from experiments.laboratory.bench.readout.search import SEARCH_PX, find_star
 from experiments.laboratory.single_star.star import SingleStar
-from experiments.laboratory.temporal_error import target_place
+from experiments.laboratory.temporal_error import star_target_directions
 from optics.errors import DomainError
 from optics.light.band import TopHat
 from optics.light.spectrum import Blackbody
 
 
 def test_the_target_stands_in_the_middle_of_the_first_chip(star_camera, bench_of):
-    direction = target_place(bench_of(rows=3, columns=3), star_camera)
+    direction = star_target_directions(bench_of(rows=3, columns=3), star_camera)
     tangent = direction[:, :2] / direction[:, 2:] * star_camera.focal_length_mm / star_camera.camera.pixel_pitch_mm
     pixel = tangent + np.array(star_camera.camera.centre_px)
     chip = star_camera.detector
     middle = [(chip.chip_width_px - 1) / 2, (chip.chip_height_px - 1) / 2]
     np.testing.assert_allclose(pixel[4], middle, atol=1e-6)
-    elsewhere = target_place(bench_of(rows=3, columns=3), star_camera, (700.0, 300.0))
+    elsewhere = star_target_directions(bench_of(rows=3, columns=3), star_camera, (700.0, 300.0))
     tangent = elsewhere[4, :2] / elsewhere[4, 2] * star_camera.focal_length_mm / star_camera.camera.pixel_pitch_mm
     np.testing.assert_allclose(tangent + np.array(star_camera.camera.centre_px), [700.0, 300.0], atol=1e-6)
 
@@ -39,7 +39,7 @@ def test_a_star_has_the_colour_of_its_lamp_behind_its_band(star_camera):
         band=TopHat(centre_nm=600.0, width_nm=200.0, edge_nm=1.0),
         signal_e=5000.0,
     )
-    seen = star.seen(np.array([[0.0, 0.0, 1.0]]), star_camera)
+    seen = star.field(np.array([[0.0, 0.0, 1.0]]), star_camera)
     wave, rate = seen.wavelength_nm, seen.photon_rate[0]
     mean = (rate * wave).sum() / rate.sum()
     fine = np.linspace(500.0, 700.0, 20001)
@@ -50,7 +50,7 @@ def test_a_star_has_the_colour_of_its_lamp_behind_its_band(star_camera):
 
 
 def test_only_the_own_reference_psf_is_a_place_s_own():
-    assert [has_own_epsf(one) for one in ("epsf", "epsf_reference", "epsf_measured", "cog")] == [True] + 3 * [False]
+    assert [has_matched_epsf(one) for one in ("epsf", "epsf_reference", "epsf_measured", "cog")] == [True] + 3 * [False]
     assert (motion_method(["cog", "epsf"]), motion_method(["gaussian", "cog"])) == ("epsf", "gaussian")
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from experiments.laboratory.devices.targets import grid_directions, survey
+from experiments.laboratory.devices.target import grid_directions, survey
 from experiments.laboratory.settings.tables import GridTargetConfig
 from render.engine.random import Streams
 

@@ -1,4 +1,4 @@
-"""Frames of the detector without stars, and the noise of a pixel as a reduction knows it."""
+"""Frames of the detector without stars, and noise models of a reduction."""
 
 from __future__ import annotations
 
@@ -54,9 +54,9 @@ def nominal_noise(instrument: Instrument) -> NoiseModel:
 
 
 def true_noise(instrument: Instrument, *, dark_frames: int | None = None) -> NoiseModel:
-    """Noise as measured on dark frames: the read noise holds everything but the light.
+    """Noise as measured on dark frames: read noise is the noise of a pixel without light.
 
-    Read noise with its spread over the pixels, dark charge, and the noise of the mean dark frame that was subtracted.
+    It includes the spread of read noise over the pixels, dark charge, and noise of the subtracted mean dark frame.
     """
     pixel = instrument.pixel_noise()
     temporal_e2 = float(pixel.temporal_e2(0.0, dark_frames=dark_frames)) - pixel.rounding_e2

@@ -1,4 +1,4 @@
-"""Search of the light before measurement: the points of a target in a region, a star in wide windows."""
+"""Detection before measurement: the points of a target in a region, a star in wide windows."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 
 SEARCH_PX = 48
-"""Side of the window in which a star is looked for."""
-SEEN_SIGMA = 8.0
-"""A star's brightest smoothed pixel stands out of the search window's noise by this much at least."""
+"""Side of the window in which a star is searched."""
+DETECTION_SIGMA = 8.0
+"""Least signal-to-noise ratio of a star's brightest pixel, smoothed over 3 x 3 pixels."""
 
 
 def find_points(
@@ -32,7 +32,7 @@ def find_points(
     unseen: str,
     merged: str,
 ) -> FloatArray:
-    """Detected places (j, 2) of the points of a target in one readout of its surroundings."""
+    """Detected positions (j, 2) of the points of a target in one readout of its surroundings."""
     height, width = light_e.shape
     low = np.maximum(np.floor(nominal_px.min(0)).astype(np.int64) - SEARCH_MARGIN_PX, 0)
     high = np.minimum(np.ceil(nominal_px.max(0)).astype(np.int64) + SEARCH_MARGIN_PX + 1, [width, height])
@@ -53,7 +53,7 @@ def find_points(
 
 
 def find_star(reader: WindowReader, light_e: NDArray[Any], near_px: FloatArray) -> FloatArray:
-    """Coarse places (n, 2) of a star, each in a wide window less the mean of two dark frames."""
+    """Coarse positions (n, 2) of a star, each in a wide window less the mean of two dark frames."""
     height, width = light_e.shape
     limit = np.array([width, height])
     if min(limit) < SEARCH_PX:
@@ -63,19 +63,18 @@ def find_star(reader: WindowReader, light_e: NDArray[Any], near_px: FloatArray) 
     dark = reader.expose(np.zeros((len(corner), SEARCH_PX, SEARCH_PX)), corner, frames=2, label="search dark")
     light = (stack.dn[0].astype(np.float64) - dark.dn.mean(0)) / stack.gain_dn_per_e
     valid = ~(stack.defect | stack.saturated[0])
-    x, y = coarse_position(light, valid)
-    found = np.column_stack([x, y])
-    _check_seen(light, valid, found, near_px)
-    return np.asarray(corner + found)
+    position = np.column_stack(coarse_position(light, valid))
+    _check_detected(light, valid, position, near_px)
+    return np.asarray(corner + position)
 
 
-def _check_seen(light: FloatArray, valid: NDArray[np.bool_], found: FloatArray, near_px: FloatArray) -> None:
-    index = np.rint(found).astype(np.int64)
-    some = np.arange(len(light))
+def _check_detected(light: FloatArray, valid: NDArray[np.bool_], position: FloatArray, near_px: FloatArray) -> None:
+    index = np.rint(position).astype(np.int64)
+    window = np.arange(len(light))
     row, column = (np.clip(index[:, k], 1, SEARCH_PX - 2) for k in (1, 0))
-    block = sum(np.where(valid, light, 0.0)[some, row + i, column + j] for i in (-1, 0, 1) for j in (-1, 0, 1))
-    spread = 1.4826 * np.median(np.abs(light - np.median(light, axis=(1, 2), keepdims=True)), axis=(1, 2))
-    unseen = np.asarray(block) < SEEN_SIGMA * 3.0 * np.maximum(spread, 1e-9)
+    block = sum(np.where(valid, light, 0.0)[window, row + i, column + j] for i in (-1, 0, 1) for j in (-1, 0, 1))
+    sigma = 1.4826 * np.median(np.abs(light - np.median(light, axis=(1, 2), keepdims=True)), axis=(1, 2))  # MAD
+    unseen = np.asarray(block) < DETECTION_SIGMA * 3.0 * np.maximum(sigma, 1e-9)
     if unseen.any():
         at = int(np.argmax(unseen))
         raise DomainError(

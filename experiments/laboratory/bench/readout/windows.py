@@ -26,14 +26,14 @@ class WindowReader:
     def expose(self, light_e: ArrayLike, corner_px: NDArray[np.int64], *, frames: int, label: str) -> WindowStack:
         """Frames of windows (n, h, w) with their first pixels at ``corner_px``; ``label`` names the random streams.
 
-        With an axis before them, (f, n, h, w), the light is that of each frame.
+        Light of the shape (f, n, h, w) differs from frame to frame.
         """
         light = np.asarray(light_e)
         if light.ndim == 3:
             return self._expose(light, corner_px, frames, 0, label)
-        every = [self._expose(one, corner_px, 1, number, label) for number, one in enumerate(light)]
-        dn, saturated = (np.concatenate([getattr(one, name) for one in every]) for name in ("dn", "saturated"))
-        return replace(every[0], dn=dn, saturated=saturated)
+        stacks = [self._expose(frame_e, corner_px, 1, number, label) for number, frame_e in enumerate(light)]
+        dn, saturated = (np.concatenate([getattr(stack, name) for stack in stacks]) for name in ("dn", "saturated"))
+        return replace(stacks[0], dn=dn, saturated=saturated)
 
     def _expose(
         self, light_e: FloatArray, corner_px: NDArray[np.int64], frames: int, first: int, label: str
@@ -52,7 +52,7 @@ class WindowReader:
         )
 
     def frame(self, image: ExpectedImage, band: str) -> Frame:
-        """One frame of the whole detector."""
+        """A frame of the whole detector."""
         celsius = self.instrument.config.chip_temperature_c
         return expose(image, self.instrument.detector, streams=self.streams, temperature_c=celsius, band=band)
 
@@ -65,7 +65,7 @@ class WindowReader:
 def window_corners(
     centre_px: FloatArray, size_px: int, detector_px: tuple[int, int], *, where: str, advice: str
 ) -> NDArray[np.int64]:
-    """First pixels (n, 2) of windows around places."""
+    """First pixels (n, 2) of windows around positions; refuses windows that leave the detector."""
     corner = np.rint(centre_px).astype(np.int64) - size_px // 2
     off = np.any((corner < 0) | (corner + size_px > np.array(detector_px)), axis=1)
     if off.any():

@@ -6,14 +6,14 @@ from refusals import refuses
 
 from experiments.harness.config import load_config
 from experiments.laboratory.devices.turntable import build_turntable
-from experiments.laboratory.single_star.settings import SingleStarConfig, TableConfig
+from experiments.laboratory.single_star.settings import SingleStarConfig, TurntableConfig
 from experiments.laboratory.single_star.setup import build_table, check_table, grid_px
 from optics.errors import ConfigError, DomainError
 
 
-def _table(**changes) -> TableConfig:
+def _table(**changes) -> TurntableConfig:
     settings = {"axes": "xy", "reading_noise_arcsec": (0.3,), "non_orthogonality_arcsec": (5.0,)}
-    return TableConfig(**(settings | changes))
+    return TurntableConfig(**(settings | changes))
 
 
 def test_readings_average() -> None:

@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 from calib.calibration.star_bench import StarBench
 from calib.measure.epsf.bspline import smeared_epsfs
 from experiments.laboratory.devices.turntable import build_turntable
-from experiments.laboratory.single_star.acquisition import Motion, acquire, visit_once
+from experiments.laboratory.single_star.acquisition import TableMotion, acquire, visit_once
 from experiments.laboratory.single_star.measure import measure, traced_map
-from experiments.laboratory.single_star.settings import SingleStarConfig, TableConfig
+from experiments.laboratory.single_star.settings import SingleStarConfig, TurntableConfig
 from experiments.laboratory.single_star.setup import camera_under_test
 from experiments.laboratory.single_star.star_readings import WindowPlan, read_windows
 from optics.errors import DomainError
@@ -35,7 +35,7 @@ def visited(engine, small_camera):
     star = SingleStar(
         azimuth_deg=0, elevation_deg=0, spectrum=Blackbody(temperature_k=5800.0), band=band, signal_e=12000.0
     )
-    field = star.seen(direction, small_camera)
+    field = star.field(direction, small_camera)
     expected = StarRenderer(camera, exposure_s=small_camera.config.exposure_s).render(field)
     psfs = [row[0] for row in render_epsf(epsf_tracer(camera), field, half_size_px=7)]
     return expected, psfs, star, direction
@@ -81,7 +81,7 @@ def test_single_frames_of_an_acquisition_scatter_as_predicted(rate_rad_per_s, vi
     expected, psfs, star, direction = visited
     table = build_turntable("xy")
     bench = StarBench(table=table, star=np.array([0.0, 0.0, 1.0]), installation=Rotation.identity())
-    motion = Motion(rate_rad_per_s=rate_rad_per_s, samples=6 if rate_rad_per_s else 1)
+    motion = TableMotion(rate_rad_per_s=rate_rad_per_s, samples=6 if rate_rad_per_s else 1)
     places = visit_once(bench, direction, np.zeros(64), motion, 8, Streams(3))
     values = np.array([psf.values for psf in psfs])
     along = places.directions(bench, small_camera.config.exposure_s)
@@ -105,7 +105,7 @@ def test_a_rendered_table_and_the_traced_lens(small_detector) -> None:
     settings = {"instrument": {"detector": str(small_detector), "diffraction": "rays"}, "frames": 2, "dark_frames": 2}
     config = SingleStarConfig.model_validate({**settings, "grid": {"columns": 4, "rows": 3}})
     instrument, calls = camera_under_test(config), []
-    table = TableConfig(axes="xy", reading_noise_arcsec=(0.3,), non_orthogonality_arcsec=(5.0,))
+    table = TurntableConfig(axes="xy", reading_noise_arcsec=(0.3,), non_orthogonality_arcsec=(5.0,))
     found = measure(config, instrument, table, Streams(2), advance=lambda: calls.append(1))
     assert len(calls) == 4
     pulls = (found.readings.position_px - found.bundle_px) / found.readings.sigma_px

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.calibration.star_bench import StarBench, star_direction
 from experiments.laboratory.devices.turntable import build_turntable
-from experiments.laboratory.single_star.acquisition import Motion, merged_nodes, visit_once
+from experiments.laboratory.single_star.acquisition import TableMotion, merged_nodes, visit_once
 from experiments.laboratory.single_star.visits import visit
 from optics.frames import field_direction
 from optics.units import ARCSEC_RAD
@@ -34,7 +34,7 @@ def test_a_visit_knows_what_is_and_what_is_read(bench) -> None:
 
 
 def test_motion_moves_the_star_along_one_axis(bench) -> None:
-    motion = Motion(rate_rad_per_s=1e-2, jitter_s=1e-3, samples=4)
+    motion = TableMotion(rate_rad_per_s=1e-2, jitter_s=1e-3, samples=4)
     field = np.stack(np.meshgrid(np.linspace(-5, 5, 9), np.linspace(-5, 5, 9)), axis=-1).reshape(-1, 2)
     places = visit_once(bench, field_direction(*field.T), np.zeros(81), motion, 9, Streams(2))
     np.testing.assert_allclose(np.abs(places.rate_rad_per_s), np.tile([0.0, 1e-2], (81, 1)))
