@@ -13,7 +13,7 @@ from experiments.chromatic.own_frames import filter_frames as chromatic_from_fra
 from experiments.chromatic.own_frames import own_frames as chromatic_own_frames
 from experiments.chromatic.settings import ChromaticConfig
 from experiments.laboratory.bench.points import filter_scene, nominal_px, point_scene
-from experiments.laboratory.temporal_error import measure_temporal, target_place
+from experiments.laboratory.temporal_error import measure_temporal, star_target_directions
 from experiments.reduce.checks import check_frames
 from experiments.reduce.folder import read_folder
 from experiments.reduce.frames import find_files
@@ -94,8 +94,8 @@ class Writer:
 def still(tmp_path_factory, scene, camera):
     """A folder of one series of six points."""
     writer, streams = Writer(tmp_path_factory.mktemp("still"), scene), Streams(4).child("level", 0)
-    image = writer.image(target_place(scene.bench, camera, PLACE))
-    places = nominal_px(camera, target_place(scene.bench, camera, PLACE)).tolist()
+    image = writer.image(star_target_directions(scene.bench, camera, PLACE))
+    places = nominal_px(camera, star_target_directions(scene.bench, camera, PLACE)).tolist()
     writer.lines += ['dark = ["dark_*.fits"]', f"points_px = {places}"]
     writer.dark(image.shape, streams)
     writer.series(image, streams, "still", count=FRAMES)
@@ -193,7 +193,7 @@ def test_wedge_of_a_filter_and_exchanged_filters_are_found_in_rendered_frames(tm
     for place, angle, at in (("before", 0, 0.0), ("after", 180, 0.4)):
         for band, nm in enumerate((500, 600, 800)):
             moved = np.array(PLACE) + at + (wedge if nm == 800 else 0.0) * (1 if angle == 0 else -1)
-            image = light.image(target_place(bench, camera, moved)).electrons[:, :, band]
+            image = light.image(star_target_directions(bench, camera, moved)).electrons[:, :, band]
             image = image * (1.0, 0.6, 0.8)[band]
             writer.frames(image, streams.child(place, band), f"F{band}", 6, f"{place}_{nm}")
             rows.append(
