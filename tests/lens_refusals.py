@@ -45,14 +45,8 @@ from optics.lens.heated_lens import Housing, Mount, ThermalState, heated_lens, w
 from optics.lens.ideal_lens import ideal_lens, measured_lens
 from optics.lens.movement import moved_element
 from optics.lens.perturb import change_index, change_shape, change_temperature
-from optics.lens.shapes.biconic import Biconic
+from optics.lens.shapes import biconic, forbes_asphere, odd_asphere, sphere, thin_lens, toroid, zernike
 from optics.lens.shapes.even_asphere import EvenAsphere
-from optics.lens.shapes.forbes_asphere import Qcon
-from optics.lens.shapes.odd_asphere import OddAsphere
-from optics.lens.shapes.sphere import Sphere
-from optics.lens.shapes.thin_lens import ThinLens
-from optics.lens.shapes.toroid import Toroid
-from optics.lens.shapes.zernike import Zernike
 from optics.lens.thermal_history import ThermalHistory, first_order_response
 from optics.rays.marginal_rays import check_axial_rays
 from optics.rays.paraxial import stopped_down
@@ -215,16 +209,16 @@ BREAK = {"kind": "coordinate_break", "decentre_mm": [0.5, -0.3]}
 M1 = {"radius_mm": -2000.0, "conic": -1.0, "thickness_mm": -700.0, "medium": "mirror"}
 POLYGON = {"kind": "polygon", "points_mm": [(0, 0), (1, 1), (2, 2)]}
 SURFACES = [
-    *rows(DomainError, OddAsphere, ({"terms": (1e-3,)}, ["a cone"])),
-    *rows(DomainError, Qcon, ({"norm_radius_mm": 0.0}, ["Qcon.norm_radius_mm = 0.0", "positive"])),
-    *rows(DomainError, partial(Zernike, norm_radius_mm=1.0),
+    *rows(DomainError, odd_asphere.OddAsphere, ({"terms": (1e-3,)}, ["a cone"])),
+    *rows(DomainError, forbes_asphere.Qcon, ({"norm_radius_mm": 0.0}, ["Qcon.norm_radius_mm = 0.0", "positive"])),
+    *rows(DomainError, partial(zernike.Zernike, norm_radius_mm=1.0),
         ({"ordering": "ansi"}, ["'noll' or 'fringe'"]),
         ({"ordering": "fringe", "coefficients_mm": (0.0,) * 38}, ["at most 37"])),
-    *rows(DomainError, Toroid, ({"rotation_radius_mm": 0.0}, ["inf for a cylinder"])),
-    *rows(DomainError, Biconic, ({"radius_x_mm": NAN}, ["Biconic.radius_x_mm = nan"])),
-    *rows(DomainError, ThinLens, ({"focal_length_mm": 0.0}, ["0.0"])),
-    *rows(DomainError, ThinLens, ({"focal_length_mm": 1.0, "collimated": "no"}, ["'before' or 'after'"])),
-    *rows(DomainError, Sphere, ({"radius_mm": 0.0}, ["other than zero"]), ({"radius_mm": INF}, ["finite"])),
+    *rows(DomainError, toroid.Toroid, ({"rotation_radius_mm": 0.0}, ["inf for a cylinder"])),
+    *rows(DomainError, biconic.Biconic, ({"radius_x_mm": NAN}, ["Biconic.radius_x_mm = nan"])),
+    *rows(DomainError, thin_lens.ThinLens, ({"focal_length_mm": 0.0}, ["0.0"])),
+    *rows(DomainError, thin_lens.ThinLens, ({"focal_length_mm": 1.0, "collimated": "no"}, ["'before' or 'after'"])),
+    *rows(DomainError, sphere.Sphere, ({"radius_mm": 0.0}, ["other than zero"]), ({"radius_mm": INF}, ["finite"])),
     *rows(DomainError, Conic, ({"radius_mm": 1.0, "conic": NAN}, ["Conic.conic = nan"])),
     *rows(DomainError, EvenAsphere, ({"asphere": (1e-6, INF)}, ["EvenAsphere.asphere[1]"])),
     *rows(DomainError, Plane().changed, ("conic", 0.1, {}, ["plane has no conic", "no parameter"])),

@@ -74,9 +74,7 @@ def frame_of(dn, defect=None, **noise):
 
 def sampled_stars(draw, rng, count, background_e, read_noise_e=5.0):
     """Columns and rows (n,) at random phases of the middle pixel, and noisy stamps of the light ``draw(x, y)``.
-
-    Starts are off by 0.1 px (RMS).
-    """
+    Starts are off by 0.1 px (RMS)."""
     x, y = SIZE // 2 + rng.uniform(-0.5, 0.5, (2, count))
     electrons = noisy(draw(x, y) + background_e, read_noise_e, rng)
     start_x, start_y = np.stack([x, y]) + rng.normal(0.0, 0.1, (2, count))

@@ -15,24 +15,18 @@ from star_images import NOISE, frame_of, gaussian_epsf, gaussian_stars, image_of
 from calib import Calibration, Observations, Polynomial, SensorGeometry, StarFlag, bound, calibrate, detect, solve_wahba
 from calib.accuracy import distortion, ecss_metrics
 from calib.accuracy.high_frequency import step_residual_px
-from calib.attitude.association import match_stars
-from calib.attitude.attitude_solution import solve_wahba_many
-from calib.attitude.euler_angles import rotation_of_angles
-from calib.attitude.gyro_attitude import integrate_rates
+from calib.attitude import association, attitude_solution, euler_angles, gyro_attitude, triad
 from calib.attitude.identify import build_database, identify, load_database
 from calib.attitude.star_vectors import initial_frame_vectors
 from calib.attitude.tracker import StarTracker, guide_catalogue
-from calib.attitude.triad import triad
+from calib.calibration import camera_order, interstar_angles, table_bound
 from calib.calibration.attitude_correlated import AttitudeCorrelated
-from calib.calibration.camera_order import OrderValidation, simplest_adequate
 from calib.calibration.cube_mirror import cube_from_table
 from calib.calibration.frame_attitudes import frame_attitude
 from calib.calibration.free_attitudes import FreeAttitudes
 from calib.calibration.gyro_linked import GyroLinked, GyroNoise
-from calib.calibration.interstar_angles import NoAttitude
 from calib.calibration.star_bench import StarBench, aiming_angles
 from calib.calibration.table_axes import TableAxes
-from calib.calibration.table_bound import table_bound
 from calib.calibration.table_reduction import PoseData, calibrate_on_table, check_count, check_fit, check_parity
 from calib.calibration.turntable import TableErrors, TurntableAttitudes, star_direction
 from calib.cameras.brown_conrady import BrownConrady
@@ -99,16 +93,16 @@ def config(row: str, call: Callable[[], Any], *words: str) -> Row:
 
 def wahba(**change: Any) -> Callable[[], Any]:
     given = {"v_cam": STARS, "v_ref": STARS, "frame": np.zeros(4, int), "sigma_rad": 5e-6} | change
-    return lambda: solve_wahba_many(**given)
+    return lambda: attitude_solution.solve_wahba_many(**given)
 
 
 def match(**change: Any) -> Callable[[], Any]:
     given = {"pixel_px": np.zeros((3, 2)), "catalogue_direction": np.eye(3), "attitude": ONE, "radius_px": 5.0}
-    return lambda: match_stars(model=CAMERA, **given | {"tolerance_px": 1.0} | change)
+    return lambda: association.match_stars(model=CAMERA, **given | {"tolerance_px": 1.0} | change)
 
 
 def rates(time: Any, rate: Any, at: Any = None) -> Callable[[], Any]:
-    return lambda: integrate_rates(time, rate, at)
+    return lambda: gyro_attitude.integrate_rates(time, rate, at)
 
 
 def vectors(count: int, installation: Rotation = ONE, columns: int = 2) -> Callable[[], Any]:
@@ -161,12 +155,12 @@ ATTITUDE = [
     domain("rates: columns", rates([0, 1, 2], np.zeros((2, 2))), "shape (2, 2)"),
     domain("rates: outside", rates([0, 1, 2], np.zeros((2, 3)), [2.5]), "at_s = 2.5 s lies outside"),
     domain("rates: at", rates([0, 1, 2], np.zeros((2, 3)), 1.0), "times of shape (f,)"),
-    domain("angles: two", lambda: rotation_of_angles([0.0, 1.0]), "three finite angles"),
+    domain("angles: two", lambda: euler_angles.rotation_of_angles([0.0, 1.0]), "three finite angles"),
     domain("star vectors: columns", vectors(3, columns=3), "shape (3, 3)"),
     domain("star vectors: attitudes", vectors(2), "2 table attitudes for 3 images"),
     domain("star vectors: installation", vectors(3, TURNS), "3 rotations; a single rotation"),
-    domain("triad: parallel", lambda: triad(*[[[0, 0, 1], [0, 1e-3, -1]]] * 2), "not parallel"),
-    domain("triad: one", lambda: triad([[0, 0, 1]], [[0, 0, 1]]), "two directions"),
+    domain("triad: parallel", lambda: triad.triad(*[[[0, 0, 1], [0, 1e-3, -1]]] * 2), "not parallel"),
+    domain("triad: one", lambda: triad.triad([[0, 0, 1]], [[0, 0, 1]]), "two directions"),
     domain("identify: pixels", identified(np.zeros((3, 3))), "pixel_px has shape (3, 3)"),
     domain("identify: flux", identified(np.zeros((3, 2)), flux=[1, 2]), "flux has shape (2,)"),
     domain("identify: tolerance", identified(np.zeros((3, 2)), tolerance_px=-1), "tolerance_px = -1"),
@@ -326,12 +320,12 @@ def few_turns() -> AttitudeCorrelated:
 
 
 def no_order() -> Any:
-    lost = OrderValidation(order="pinhole", parameters=3, chi2=np.array([NAN, 1.0]), residual_px=0.1)
-    return simplest_adequate([lost])
+    lost = camera_order.OrderValidation(order="pinhole", parameters=3, chi2=np.array([NAN, 1.0]), residual_px=0.1)
+    return camera_order.simplest_adequate([lost])
 
 
 def crowded() -> Any:
-    return calibrate(make_scene(frames=1, stars=6000).observations, START, NoAttitude())
+    return calibrate(make_scene(frames=1, stars=6000).observations, START, interstar_angles.NoAttitude())
 
 
 def behind() -> Any:
@@ -376,7 +370,7 @@ def wrong_fit() -> None:
 def bench_bound(angle: Any) -> Callable[[], Any]:
     bench = StarBench(table=TableAxes.create("xy"), star=AHEAD, installation=ONE)
     covariance = np.tile(np.eye(2), (len(angle), 1, 1))
-    return lambda: table_bound(CAMERA, bench, angle, covariance, RAYS, leans=True)
+    return lambda: table_bound.table_bound(CAMERA, bench, angle, covariance, RAYS, leans=True)
 
 
 def along_the_outer_axis() -> Any:
@@ -425,7 +419,7 @@ CALIBRATION = [
     domain("gyro: times", lambda: linked(5), "5 gyro rotations and 6 times; one of each per frame"),
     domain("gyro: order", lambda: linked(time=range(6, 0, -1)), "must be finite and increase"),
     domain("gyro: noise", lambda: GyroNoise(angle_random_walk_rad_per_sqrt_s=-1e-6), "= -1e-06", "not negative"),
-    config("angles: weighting", lambda: NoAttitude(weighting="some"), "weighting 'some'"),
+    config("angles: weighting", lambda: interstar_angles.NoAttitude(weighting="some"), "weighting 'some'"),
     domain("angles: crowded", crowded, "keep the brightest 5477 stars"),
     domain("bound: behind", behind, "lie behind the camera"),
     domain("order: none", no_order, "no camera model converges"),

@@ -37,9 +37,7 @@ def test_attitude_of_independent_errors_is_what_the_estimator_states():
 
 def test_unequal_errors_on_an_oblong_detector_by_hand():
     """Half width 1/20, half height 1/50 of the focal length; 3 and 1 arcsec; 60 stars, whose second moments are known.
-
-    Stars apart along y turn the field by their errors along x, and the other way round.
-    """
+    Stars apart along y turn the field by their errors along x, and the other way round."""
     of_star, half_field = errors(np.array([3.0, 1.0])), np.array([0.05, 0.02])
     xx, yy = half_field**2 / 3.0
     expected = np.array([3.0, 1.0, np.sqrt(9.0 * yy + 1.0 * xx) / (xx + yy)]) / np.sqrt(60.0)

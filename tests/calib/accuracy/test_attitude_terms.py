@@ -92,10 +92,8 @@ def test_the_slope_shows_what_is_wrong_with_a_prediction(flown, told, change, te
 
 def test_errors_of_pixel_phase_are_as_certain_as_stated(told):
     """All stars cross pixels alike: the sum of their oscillations is one oscillation, of random size, per segment.
-
     12 stars, 10 segments of 30 frames, 40 flights: pulls of the mean square are 0 +- 0.16, their mean square is
-    1 +- 0.27 (kurtosis 4: some 20 exponential deviates each); frames taken as independent would give 19.
-    """
+    1 +- 0.27 (kurtosis 4: some 20 exponential deviates each); frames taken as independent would give 19."""
     rng, pulls = np.random.default_rng(6), []
     still = dict.fromkeys(("pixel_arcsec2", "fov_arcsec", "thermal_arcsec", "aberration_arcsec"), np.zeros(3))
     own = [replace(one, **still, spot_arcsec2=PIXEL**2, noise_arcsec2=1e-2 * PIXEL**2) for one in told[:10]]

@@ -98,10 +98,8 @@ def wide_lens(position):
 
 @pytest.mark.parametrize("reference", distortion.REFERENCES)
 def test_the_map_error_of_a_wide_lens_is_predicted_for_every_camera(reference):
-    """8 x 4 points, order 3, a distortion of order 7: bias as reduced, noise of 300 surveys.
-
-    Points left out stand where the fit is held: they show less than the map error, by five for the calibrated camera.
-    """
+    """8 x 4 points, order 3, a distortion of order 7: bias as reduced, noise of 300 surveys. Points left out stand
+    where the fit is held: they show less than the map error, by five for the calibrated camera."""
     position, field = grid(4, 8, reach=0.8), grid(17, 33)
     offset, field_offset = wide_lens(position), wide_lens(field)
 

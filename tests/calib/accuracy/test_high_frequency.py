@@ -57,6 +57,16 @@ def test_the_jackknife_gives_the_scatter_from_one_set_of_stars_to_the_next():
     np.testing.assert_allclose(estimate, scatter, rtol=0.25)  # 200 runs: 5 % each, and the jackknife's bias upwards
 
 
+def test_degrees_of_freedom_of_correlated_steps():
+    """Scatter of a sum of squares is sqrt(2 / degrees): of five stars in 12 steps that share half with the next one."""
+    rng, free = np.random.default_rng(4), 5
+    drawn = rng.standard_normal((4000, 13, free))
+    left = drawn[:, 1:] + drawn[:, :-1]
+    square = (left**2).sum((1, 2))
+    degrees = 1.0 / np.mean([1.0 / high_frequency._degrees(one, free) for one in left])
+    assert degrees == pytest.approx(2.0 * square.mean() ** 2 / square.var(), rel=0.08)
+
+
 POSITIONS, POSITION_STARS, FRAMES, RUNS = 8, 16, 10, 250
 
 
@@ -86,10 +96,8 @@ def estimates(error_px, frame_px, seed=3, **scenes):
 @pytest.mark.parametrize(("error_px", "neighbours"), [(0.02, 0.0), (0.02, 0.7), (0.006, 0.0)])
 def test_estimate_and_interval_hold_the_truth(error_px, neighbours):
     """Variance without bias within its standard error; 95 % intervals hold the truth in 95 % of 500, 4 sigma of that.
-
     The truth is the error about its mean over the path: of errors alike at neighbours with the correlation r^|k| that
-    is the variance times 1 minus the mean correlation of two different positions.
-    """
+    is the variance times 1 minus the mean correlation of two different positions."""
     found = estimates(error_px, 0.05, neighbours=neighbours)
     lag = np.abs(np.subtract.outer(np.arange(POSITIONS), np.arange(POSITIONS)))
     alike = (float(neighbours) ** lag)[~np.eye(POSITIONS, dtype=bool)].mean()

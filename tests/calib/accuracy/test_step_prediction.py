@@ -60,9 +60,7 @@ def test_draws_behind_an_s_curve_add_no_noise(psf):
 
 def test_patterns_are_sampled_by_the_steps_of_an_erring_platform(psf):
     """Rationale: over so short a way a response changes in proportion. Expected: PRNU squared as steps squared are.
-
-    Per axis s^2 / 2 of equal steps along the diagonal, and 2 e^2 of errors e of both positions: 1 + 4 e^2 / s^2.
-    """
+    Per axis s^2 / 2 of equal steps along the diagonal, and 2 e^2 of errors e of both positions: 1 + 4 e^2 / s^2."""
     s, e, paths, rng = 0.1, 0.04, 100, np.random.default_rng(3)
     offsets = list(e * rng.standard_normal((paths, POSITIONS, 2)))
     erring = {"offsets_px": offsets, "drawn_windows": [windows(psf, s, one) for one in offsets]}

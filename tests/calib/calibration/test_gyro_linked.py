@@ -62,9 +62,7 @@ def test_a_useless_gyro_is_a_free_attitude_in_every_frame():
 
 def test_a_look_without_stars_changes_nothing():
     """A random walk has no memory: a reading of the gyro half-way between two frames tells nothing of the camera.
-
-    Frames 0.5, 2 and 7 s apart; the walk is as large as the attitude errors of single frames.
-    """
+    Frames 0.5, 2 and 7 s apart; the walk is as large as the attitude errors of single frames."""
     scene = make_scene(frames=6, stars=4)
     time = np.cumsum([0.0, 0.5, 2.0, 7.0, 0.5, 2.0])
     noise = GyroNoise(angle_random_walk_rad_per_sqrt_s=3e-4)

@@ -73,9 +73,7 @@ def test_ten_percent_wrong_matches_are_survived(weighting):
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_thirty_percent_of_stars_shifted_alike_are_survived(seed, shift_px):
     """A common shift is the worst case: a fit between both groups makes all residuals large and none an outlier.
-
-    The map must be as wrong as it states: RMS over the detector below 3 times the predicted one. It was 10 times.
-    """
+    The map must be as wrong as it states: RMS over the detector below 3 times the predicted one. It was 10 times."""
     scene = make_scene(seed=seed, frames=20, stars=25)
     wrong = np.random.default_rng(seed).random(len(scene.observations)) < 0.3
     moved = scene.observations.pixel_px + wrong[:, None] * np.array(shift_px)

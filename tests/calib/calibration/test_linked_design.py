@@ -87,10 +87,8 @@ def test_reprojection_of_the_same_frames_is_the_closed_form(design):
 
 def test_reprojection_with_gyro_against_drawn_errors(scene, design):
     """3000 drawings of star noise, bias signs and walk through the linear adjustment.
-
     The mean of the RMS lengths is known to scatter / sqrt(3000), their standard deviation to 1 / sqrt(6000) = 1.3 %;
-    four of these, and 1 % for the second-order formula of the mean.
-    """
+    four of these, and 1 % for the second-order formula of the mean."""
     odd, even = (design.select(design.frame % 2 == k) for k in (0, 1))
     error = gyro_drift(scene)
     rng = np.random.default_rng(3)

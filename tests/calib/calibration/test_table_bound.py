@@ -24,9 +24,7 @@ def _setup(axes):
 @pytest.mark.parametrize("field_deg", [3.0, 6.0])
 def test_principal_point_in_closed_form(field_deg):
     """Only principal point, focal length and installation unknown: sigma / sqrt(n <t^4>), <t^4> of a square grid.
-
-    Second order in the field: the next term is t^2, 0.3 % at 6 deg.
-    """
+    Second order in the field: the next term is t^2, 0.3 % at 6 deg."""
     model, plain = BrownConrady.of_field(SENSOR, field_deg), ("x0_px", "y0_px", "focal_length_mm")
     assert model.unproject([[-0.5, 1023.5]])[0] @ model.unproject([[2047.5, 1023.5]])[0] == pytest.approx(
         np.cos(np.radians(field_deg))

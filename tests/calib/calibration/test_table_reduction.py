@@ -50,9 +50,7 @@ def test_exact_data_give_the_bench_back(bench, exact):
 
 def test_known_moves_of_the_data_come_back_with_their_sign(bench, exact):
     """Images: the principal point. Outer reading: the star about that axis. Inner one: the installation, A -> A R.
-
-    All three hold exactly.
-    """
+    All three hold exactly."""
     shift, outer, inner = np.array([0.9, -0.6]), 60.0 * ARCSEC_RAD, -40.0 * ARCSEC_RAD
     moved = replace(exact, pixel_px=exact.pixel_px + shift, reading_rad=exact.reading_rad + np.array([outer, inner]))
     before, after = (table_reduction.calibrate_on_table(data, BELIEVED, START, leans=True) for data in (exact, moved))

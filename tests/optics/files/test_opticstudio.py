@@ -88,9 +88,7 @@ def test_real_rays_of_a_double_gauss(tmp_path):
 
 def test_first_order_and_real_rays_of_the_hubble_telescope(tmp_path):
     """Mirrors, conics, a curved image (rays go on from its vertex plane to the sphere). Rays: one of the ninth decimal.
-
-    The focal length was printed from a file of nine digits, which moves it by 1e-3 mm.
-    """
+    The focal length was printed from a file of nine digits, which moves it by 1e-3 mm."""
     lines = [
         "MODE SEQ\nUNIT MM X W X CM MR CPMM\nENPD 2400\nFTYP 0 0 2 1 0 0 0\nXFLN 0 0\nYFLN 0 0.15\nWAVM 1 0.55 1",
         "SURF 0\n  DISZ INFINITY",

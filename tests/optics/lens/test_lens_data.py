@@ -21,9 +21,7 @@ STAR_CAMERA = "star_camera_206mm"
 
 def printed_sampling() -> PupilSamples:
     """Rings at r = 0, 1/23, ..., 1 weighted by r: the coarse rule that the printed lateral colours follow.
-
-    It gives the rim more than its share; the converged integral differs by up to 0.005 px (next test).
-    """
+    It gives the rim more than its share; the converged integral differs by up to 0.005 px (next test)."""
     r, phi = np.arange(1, 24) / 23.0, 2.0 * np.pi * np.arange(24) / 24
     weight = np.repeat(r, 24)
     return PupilSamples(
@@ -65,7 +63,6 @@ def test_star_camera_spot_radii():
 
 def test_star_camera_distortion():
     """Printed with the design: -0.028 % (-0.64 px) at 3.5 deg; chief rays give half of that, -0.0140 % (-0.32 px).
-
     batoid and optiland agree with the half (test_reference_trace); the printed figure has a factor 2 of unknown origin.
     """
     lens = load_lens(STAR_CAMERA)

@@ -85,9 +85,7 @@ def test_a_step_in_the_spectrum_is_met_exactly() -> None:
 @pytest.mark.reference
 def test_calspec_vega() -> None:
     """CALSPEC alpha_lyr_mod_001 (as shipped by GalSim): V = 0.03 (Bessell et al. 1998), G = 0.023 (Riello et al. 2021).
-
-    Absolute fluxes are known to about 1 %, and the Gaia figure belongs to the later model mod_002.
-    """
+    Absolute fluxes are known to about 1 %, and the Gaia figure belongs to the later model mod_002."""
     galsim = pytest.importorskip("galsim")
     table = np.loadtxt(Path(galsim.meta_data.share_dir) / "SEDs" / "vega.txt")
     vega = sed(table[:, 0], table[:, 1] * 1e-9, "power")  # erg s^-1 cm^-2 nm^-1 -> W mm^-2 nm^-1

@@ -42,10 +42,8 @@ LENS = made_lens(
 
 def meridional(height, angle, surfaces):
     """Height and angle of a ray of one plane behind (radius, distance to it, index before, index behind), by sines.
-
     The scheme of hand calculation (Kingslake 1978, *Lens Design Fundamentals*, ch. 2): Q / r + sin U = sin I. Heights
-    are those of the ray's line in the vertex plane.
-    """
+    are those of the ray's line in the vertex plane."""
     for radius, distance, before, behind in surfaces:
         height += distance * math.tan(angle)
         if math.isinf(radius):

@@ -177,10 +177,8 @@ def with_rims(lens):
 @pytest.mark.slow
 def test_the_wavefront_of_a_vignetted_telescope_is_that_of_zemax():
     """RMS to 0.2 %, coefficients of the full pupil to 1 % of the largest: hole and rims cut cells of our quadrature.
-
     A third of the light is cut: by the hole in the mirror and the rims of the corrector. Zemax prints the Strehl ratio
-    of its Huygens integral, and the centroid of its 64 um window, 1.33 um from the chief ray.
-    """
+    of its Huygens integral, and the centroid of its 64 um window, 1.33 um from the chief ray."""
     optic = batoid.Optic.fromYaml(str(Path(batoid.datadir, "HSC/HSC_no_obsc.yaml")))
     lens = with_rims(ours("HSC", list(parts(optic)), 750e-9))
     pupil = trace_pupil(lens, [0.0], [0.75], [750.0], order=(40, 96))
@@ -206,9 +204,7 @@ def test_the_wavefront_of_a_vignetted_telescope_is_that_of_zemax():
 )
 def test_the_images_of_lsst_are_those_of_zemax(field_deg, strehl_ratio, centroid_mm, chief_mm, peak_to_valley_waves):
     """Centroids to 0.1 um, wavefront from the chief ray's point to 1 %; the hole costs the Strehl ratio 5 %.
-
-    LSST 3.3 in g, 500 nm, obscured by 61 %: LSST_wf and LSST_hpsf of batoid's repository (tests/testdata), 2019.
-    """
+    LSST 3.3 in g, 500 nm, obscured by 61 %: LSST_wf and LSST_hpsf of batoid's repository (tests/testdata), 2019."""
     optic = batoid.Optic.fromYaml(str(Path(batoid.datadir, "LSST/LSST_g_500.yaml")))
     lens = with_rims(ours("LSST", list(parts(optic)), 500e-9))
     pupil = trace_pupil(lens, [0.0], [field_deg], [500.0], order=(60, 96))

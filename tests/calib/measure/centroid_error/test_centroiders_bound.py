@@ -33,9 +33,7 @@ def sample(snr, read_noise_e=5.0, seed=0):
 @pytest.mark.parametrize("name", ["epsf", "gaussian"])
 def test_likelihood_reaches_the_bound_without_bias(name, snr):
     """RMS/bound at least 1 and at most 1.03 within 4 statistical errors 1/sqrt(4 N), x and y pooled.
-
-    Bias below 3.3 standard errors; pulls 1 within 4/sqrt(2 N).
-    """
+    Bias below 3.3 standard errors; pulls 1 within 4/sqrt(2 N)."""
     stamps, noise, x, y, flux, bound = sample(snr)
     options = {"epsf": gaussian_epsf(SIGMA_PX)} if name == "epsf" else {}
     table = get_centroider(name, **options).measure(stamps, noise)
@@ -94,7 +92,6 @@ def test_moments_know_their_noise_and_are_above_the_bound(name, options):
 @pytest.mark.parametrize(("name", "options"), [("cog", {"half_width_px": None}), ("windowed", {"sigma_px": 1.5})])
 def test_covariance_of_moments_is_the_scatter_of_an_oblique_star(name, options):
     """Light of 2.0 by 0.8 px, its axes turned by 0.5 rad against the pixels: x scatters otherwise than y, and with it.
-
     N = 4000 frames of 20 000 e-, photon and read noise; each element of the covariance matrix within 5 standard errors.
     """
     frames, size = 4000, 21

@@ -19,10 +19,8 @@ def _spot(x: float, y: float, size: int, flux_e: float) -> np.ndarray:
 @pytest.mark.parametrize("method", ["cog", "windowed", "gaussian"])
 def test_covariance_of_noisy_windows(method: str) -> None:
     """20000 noisy copies of a window, the noise of a pixel growing to one corner: x and y are correlated.
-
     A variance over N is known to sqrt(2 / N) = 1 %, a correlation to 0.7 %; four of these are allowed, and 2 % for what
-    is not linear.
-    """
+    is not linear."""
     copies, size = 20000, 9
     light = _spot(4.3, 3.8, size, 5000.0)[None]
     sigma = 2.0 + 0.08 * np.add.outer(np.arange(size), np.arange(size)) ** 1.5

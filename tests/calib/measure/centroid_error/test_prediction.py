@@ -59,9 +59,7 @@ def read_noise_limit(s2):
 )
 def test_noise_limits(limit, sigma, flux, read, window):
     """Variance s^2 of the pixel-integrated Gaussian: sigma^2 + 1/12. Photon noise alone: s / sqrt(F).
-
-    Read noise alone: Fisher information F^2 / r^2 sum (dP/dx)^2 of a Gaussian, sigma_x = sqrt(8 pi) s^2 r / F.
-    """
+    Read noise alone: Fisher information F^2 / r^2 sum (dP/dx)^2 of a Gaussian, sigma_x = sqrt(8 pi) s^2 r / F."""
     noise = NoiseModel(read_noise_e=read)
     errors = prediction.predict_centroids("epsf", (gaussian_psf(sigma),), [flux], noise=noise, window_px=window)
     assert errors.noise_px[0, 0] == pytest.approx(limit(sigma**2 + 1.0 / 12.0), rel=0.02)

@@ -36,9 +36,7 @@ def known_background(size, sigma_e):
 @pytest.mark.parametrize("spread", [0.0, 0.5])
 def test_false_alarms_of_noise(spread):
     """Counts above 3.5 sigma are Poisson; with some 1200 of them, 4 sigma are 12 %; 3 % for what is left out.
-
-    With pixels of different noise the same image makes more: the prediction without the spread must fail then.
-    """
+    With pixels of different noise the same image makes more: the prediction without the spread must fail then."""
     rng, threshold, fwhm = np.random.default_rng(3), 3.5, 1.8
     variance = 100.0 * rng.lognormal(-0.5 * np.log1p(spread**2), np.sqrt(np.log1p(spread**2)), (2, SIDE, SIDE))
     count = 0

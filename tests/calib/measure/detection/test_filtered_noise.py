@@ -98,9 +98,7 @@ def degraded(rng, kind, shape=(512, 512)):
 @pytest.mark.parametrize("kind", ["twilight", "trees", "8 bit", "hot pixels"])
 def test_spoilt_frames_have_as_many_false_detections_as_stated(kind):
     """Poisson errors of 4 frames, and a sixth for what quantiles tell; at 3.7 sigma, where there are enough of them.
-
-    Along the edge of a silhouette there are as many again, which nothing states: trees count 50 px away from it.
-    """
+    Along the edge of a silhouette there are as many again, which nothing states: trees count 50 px away from it."""
     rng = np.random.default_rng(11)
     hot = rng.integers(0, 512, (2, 60))
     images = []
