@@ -24,7 +24,7 @@ from scipy.ndimage import gaussian_filter
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from experiments.camera.settings import Config
+from experiments.camera.settings import CameraReportConfig
 from experiments.laboratory.sensor_prediction import predict_camera
 from render.detector.spec import load_detector
 
@@ -41,7 +41,7 @@ def by_camera() -> dict[str, float]:
     lens = {"kind": "ideal", "focal_length_mm": FOCAL_MM, "f_number": STOP, "spot_um": SPOT_UM}
     chip = {"detector": "cmv4000", "width_px": 1024, "height_px": 1024, "exposure_s": EXPOSURE_S}
     found = predict_camera(
-        Config(
+        CameraReportConfig(
             instrument={"lens": {**lens, "transmission": TRANSMISSION}, **chip, "chip_temperature_c": CHIP_C},
             passband={"range_nm": [LOW_NM, HIGH_NM]},
             background_e_per_s=STRAY_E_PER_S,

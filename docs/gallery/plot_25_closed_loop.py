@@ -13,11 +13,11 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from experiments.flight.loop import by_budget
-from experiments.flight.settings import Config
+from experiments.flight.settings import FlightConfig
 from optics import attitude_error_arcsec, attitude_from_angles
 
 lens = {"lens": "star_tracker_26mm", "detector": "cmv4000", "width_px": 1024, "height_px": 1024}
-sensor = by_budget(Config(instrument=lens, temperature={"mean_k": 0.0, "offset_k": 0.0, "eclipse_k": 0.0}))
+sensor = by_budget(FlightConfig(instrument=lens, temperature={"mean_k": 0.0, "offset_k": 0.0, "eclipse_k": 0.0}))
 inertia, step_s = np.array([40.0, 50.0, 30.0]), 0.1  # kg m^2
 aim = attitude_from_angles(160.0, -5.0)  # near the pole of the orbit
 truth, rate, errors, left = Rotation.from_rotvec([0.0087, 0.0, 0.0]) * aim, np.zeros(3), [], []

@@ -31,49 +31,46 @@ class ChartFrames:
     """n artificial stars in k readouts."""
 
     bright_mag: float  # Magnitude of the stars whose scatter is measured
-    # (n,) Of the stars; electrons that reach the detector, those beyond the stamps of diffraction images too
-    magnitude: FloatArray
-    radius_px: FloatArray
-    electrons: FloatArray
-    found: NDArray[np.bool_]  # (k, n) Whether a detection belongs to the star
-    error_px: FloatArray  # (k, n, 2) Centroid minus mean of all light of the star; NaN where there is none
-    false_alarms: NDArray[
-        np.int64
-    ]  # Of each frame: detections without a star, those that are flagged as too sharp left out
+    magnitude: FloatArray  # (n,)
+    radius_px: FloatArray  # (n,) From the middle of the detector
+    electrons: FloatArray  # (n,) On the detector, also beyond the stamps of diffraction images
+    detected: NDArray[np.bool_]  # (k, n)
+    error_px: FloatArray  # (k, n, 2) Centroid minus photocentre of the star; NaN: none
+    false_alarms: NDArray[np.int64]  # (frames,) Detections without a star that are not flagged as too sharp
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SkyFrames:
     """m frames of the real sky; frame k has attitude k of the prediction."""
 
-    found: NDArray[np.int64]  # (m,) Stars that are found, and those of them that are fit for an attitude
-    fit: NDArray[np.int64]  # (m,)
-    false_alarms: NDArray[np.int64]  # (m,) As for the chart
-    error_arcsec: FloatArray  # (m, 3) Attitude minus truth about x, y (across) and z (roll); NaN where there is none
+    detected: NDArray[np.int64]  # (m,) Stars
+    fit: NDArray[np.int64]  # (m,) Detected stars that are fit for an attitude
+    false_alarms: NDArray[np.int64]  # (m,) As of the chart
+    error_arcsec: FloatArray  # (m, 3) Attitude minus truth about x, y (across) and z (roll); NaN: not solved
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rendered:
     """Measurements from the rendered frames."""
 
-    chart: ChartFrames  # Artificial stars
-    moving: tuple[CameraPrediction, ChartFrames] | None  # The same of the camera that turns
-    sky: SkyFrames  # Real sky
+    chart: ChartFrames
+    slewing: tuple[CameraPrediction, ChartFrames] | None  # Chart during a slew, and its prediction
+    sky: SkyFrames
     example_e: NDArray[np.float32]  # (h, w) First frame of the sky, electrons above the dark
-    example_px: FloatArray  # (n, 2) Where its stars were measured
+    example_px: FloatArray  # (n, 2) Its centroids
 
 
-UNFIT_SHARE = 0.05
-"""Stars whose fit does not converge, or that look too sharp: relative uncertainty of their number."""
+UNFIT_FRACTION = 0.05
+"""Relative uncertainty of the number of stars by fits that do not converge or are flagged as too sharp."""
 FEWEST_STARS = 8
-"""Fewer are not always told from chance."""
+"""Stars from which an identification is certain."""
 MAG = 2.5 / math.log(10.0)
-"""Magnitudes that stand for a relative error of the light."""
+"""Magnitudes per relative error of the light."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Compared:
-    """One quantity, measured in frames and predicted for the same stars and attitudes."""
+class FrameComparison:
+    """A quantity measured in frames, and predicted for the same stars and attitudes."""
 
     comparison: str = col("Quantity")
     label: str = col("Quantity")
@@ -82,65 +79,66 @@ class Compared:
     unit: str = col("Unit")
     error: float = col("Standard deviation", format=".2g")
     n: int = col("Samples")
-    pull: Measured = col("Difference", "sigma", ".1f")
-    # In standard deviations what an error of the whole would be
-    whole: float = col("Predicted over its standard deviation", "sigma", shown=False)
+    deviation_sigma: Measured = col("Difference", "sigma", ".1f")
+    predicted_over_sigma: float = col(
+        "Predicted over its standard deviation", "sigma", shown=False
+    )  # Scale of a relative error
 
 
-def compared(comparison: str, label: str, unit: str, found: MeasuredAgainst, scale: float = 1.0) -> Compared:
+def compared(comparison: str, label: str, unit: str, sample: MeasuredAgainst, scale: float = 1.0) -> FrameComparison:
     """A comparison with its difference in standard deviations; ``scale`` converts to the unit."""
-    pull = whole = math.nan
-    if found.error > 0:
-        pull = (found.measured - found.predicted) / found.error
-        whole = abs(MAG if unit == "mag" else found.predicted) / found.error
-    return Compared(
+    deviation = predicted_over_sigma = math.nan
+    if sample.error > 0:
+        deviation = (sample.measured - sample.predicted) / sample.error
+        predicted_over_sigma = abs(MAG if unit == "mag" else sample.predicted) / sample.error
+    return FrameComparison(
         comparison=comparison,
         label=label,
-        measured=scale * found.measured,
-        predicted=scale * found.predicted,
+        measured=scale * sample.measured,
+        predicted=scale * sample.predicted,
         unit=unit,
-        error=scale * found.error,
-        n=found.n,
-        pull=Measured(value=pull, unit="sigma", uncertainty=1.0),
-        whole=whole,
+        error=scale * sample.error,
+        n=sample.n,
+        deviation_sigma=Measured(value=deviation, unit="sigma", uncertainty=1.0),
+        predicted_over_sigma=predicted_over_sigma,
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Solved:
+class SolvedFrames:
     """Frames of the sky, and their attitudes."""
 
     chart_stars: int = col("Chart stars")
     frames_unsolved: int = col(f"Frames with {FEWEST_STARS} stars or more that are not solved")
-    # None where no frame was solved
+    # None: no frame solved
     attitude_ratio: Measured | None = col("Attitude errors over predicted ones, RMS of three axes", default=None)
     rendered: Rendered
 
 
-def solved_frames(prediction: CameraPrediction, rendered: Rendered) -> Solved:
+def solved_frames(prediction: CameraPrediction, rendered: Rendered) -> SolvedFrames:
     """Solution statistics of the frames of the sky."""
     error = rendered.sky.error_arcsec
     enough = prediction.attitude.stars[: len(error)] >= FEWEST_STARS
-    known = np.isfinite(error).all(axis=1)
+    solved = np.isfinite(error).all(axis=1)
     ratio = None
-    if known.any():
-        sigma = prediction.attitude.total_arcsec[: len(error)][known]
-        found = rms_against_sigma(error[known] / sigma, np.ones_like(sigma))
-        ratio = Measured(value=found.measured, uncertainty=found.error, n=found.n)
-    return Solved(
+    if solved.any():
+        sigma = prediction.attitude.total_arcsec[: len(error)][solved]
+        sample = rms_against_sigma(error[solved] / sigma, np.ones_like(sigma))
+        ratio = Measured(value=sample.measured, uncertainty=sample.error, n=sample.n)
+    return SolvedFrames(
         chart_stars=len(rendered.chart.magnitude),
-        frames_unsolved=int(np.count_nonzero(enough & ~known)),
+        frames_unsolved=int(np.count_nonzero(enough & ~solved)),
         attitude_ratio=ratio,
         rendered=rendered,
     )
 
 
-def compare(prediction: CameraPrediction, rendered: Rendered) -> list[Compared]:
+def compare(prediction: CameraPrediction, rendered: Rendered) -> list[FrameComparison]:
     """All comparisons of a run."""
     return [
         _electrons(prediction, rendered),
         noise_of_chart(prediction, rendered.chart),
-        *([] if rendered.moving is None else [noise_of_chart(*rendered.moving, key="nea_moving")]),
+        *([] if rendered.slewing is None else [noise_of_chart(*rendered.slewing, key="nea_moving")]),
         _limit(prediction, rendered),
         _alarms(prediction, rendered),
         *_stars(prediction, rendered),
@@ -149,84 +147,83 @@ def compare(prediction: CameraPrediction, rendered: Rendered) -> list[Compared]:
 
 
 def bright_stars(chart: ChartFrames) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Errors (k, n, 2) [px], electrons and distances (n,) of the chart's bright stars that are fit in all readouts."""
+    """Errors (k, n, 2) [px], electrons and radii (n,) [px] of the bright stars with a valid fit in all readouts."""
     good = (chart.magnitude == chart.bright_mag) & np.isfinite(chart.error_px).all(axis=(0, 2))
     return chart.error_px[:, good], chart.electrons[good], chart.radius_px[good]
 
 
-def _electrons(prediction: CameraPrediction, rendered: Rendered) -> Compared:
-    """Light of the renderer, against lens area times throughput by another trace with other rays."""
+def _electrons(prediction: CameraPrediction, rendered: Rendered) -> FrameComparison:
+    """Electrons of the renderer, against aperture area times throughput from an independent trace."""
     chart = rendered.chart
     bright = chart.magnitude == chart.bright_mag
     kelvin = prediction.config.star.temperature_k
     predicted = float(prediction.electrons(chart.magnitude[bright], kelvin, chart.radius_px[bright]).mean())
     measured = float(chart.electrons[bright].mean())
-    # both are quadratures of the pupil: a part in a thousand is what they promise
-    found = MeasuredAgainst(measured=measured, predicted=predicted, error=1e-3 * predicted, n=int(bright.sum()))
-    return compared("electrons", f"Electrons of a star of {chart.bright_mag:.2f} mag", "e-", found)
+    # both integrate over the pupil numerically, to 1e-3
+    sample = MeasuredAgainst(measured=measured, predicted=predicted, error=1e-3 * predicted, n=int(bright.sum()))
+    return compared("electrons", f"Electrons of a star of {chart.bright_mag:.2f} mag", "e-", sample)
 
 
-def noise_of_chart(prediction: CameraPrediction, chart: ChartFrames, key: str = "nea") -> Compared:
+def noise_of_chart(prediction: CameraPrediction, chart: ChartFrames, key: str = "nea") -> FrameComparison:
     """Scatter of the bright stars over the readouts against the NEA."""
     rate = prediction.config.slew.rate_deg_per_s
     label = f"NEA of a star of {chart.bright_mag:.2f} mag" + (f" at {rate:.3g} °/s" if rate else "")
-    found = centroid_scatter(*bright_stars(chart), prediction.stars, prediction.processing)
-    return compared(key, label, "arcsec", found, prediction.state.pixel_arcsec)
+    sample = centroid_scatter(*bright_stars(chart), prediction.stars, prediction.processing)
+    return compared(key, label, "arcsec", sample, prediction.state.pixel_arcsec)
 
 
-def _limit(prediction: CameraPrediction, rendered: Rendered) -> Compared:
-    """Limit of detection by the chart's faint stars."""
+def _limit(prediction: CameraPrediction, rendered: Rendered) -> FrameComparison:
+    """Limiting magnitude from the faint stars of the chart."""
     chart = rendered.chart
     faint = chart.magnitude != chart.bright_mag
-    detected = chart.found[:, faint].mean(axis=0)
+    detected = chart.detected[:, faint].mean(axis=0)
     shift, error = limit_shift(detected, chart.electrons[faint], chart.radius_px[faint], prediction.stars)
     limit = prediction.value("limiting_magnitude_mag")
-    found = MeasuredAgainst(
-        measured=limit + shift, predicted=limit, error=error, n=int(detected.size * len(chart.found))
+    sample = MeasuredAgainst(
+        measured=limit + shift, predicted=limit, error=error, n=int(detected.size * len(chart.detected))
     )
-    return compared("limiting_magnitude", "Limiting magnitude, half detected", "mag", found)
+    return compared("limiting_magnitude", "Limiting magnitude, half detected", "mag", sample)
 
 
-def _alarms(prediction: CameraPrediction, rendered: Rendered) -> Compared:
+def _alarms(prediction: CameraPrediction, rendered: Rendered) -> FrameComparison:
     counts = np.concatenate([rendered.chart.false_alarms, rendered.sky.false_alarms])
     expected = prediction.value("false_alarms_per_frame")
-    found = false_alarms_against(counts, expected, prediction.config.dark_frames)
-    return compared("false_alarms", f"False alarms in {len(counts)} frames", "", found)
+    sample = false_alarms_against(counts, expected, prediction.config.dark_frames)
+    return compared("false_alarms", f"False alarms in {len(counts)} frames", "", sample)
 
 
-def _stars(prediction: CameraPrediction, rendered: Rendered) -> Iterator[Compared]:
-    forecast, frames = prediction.attitude, len(rendered.sky.found)
+def _stars(prediction: CameraPrediction, rendered: Rendered) -> Iterator[FrameComparison]:
+    forecast, frames = prediction.attitude, len(rendered.sky.detected)
     variance = float(forecast.detected_variance[:frames].sum())
-    for name, words, counts, expected, unfit in (
-        ("stars", f"Stars detected in {frames} frames of the sky", rendered.sky.found, forecast.detected, 0.0),
-        ("fit_stars", "Stars fit for an attitude", rendered.sky.fit, forecast.stars, UNFIT_SHARE),
+    for name, label, counts, expected, unfit in (
+        ("stars", f"Stars detected in {frames} frames of the sky", rendered.sky.detected, forecast.detected, 0.0),
+        ("fit_stars", "Stars fit for an attitude", rendered.sky.fit, forecast.stars, UNFIT_FRACTION),
     ):
         predicted = float(expected[:frames].sum())
         error = math.sqrt(variance + 1.0 + (unfit * predicted) ** 2)
-        yield compared(
-            name, words, "", MeasuredAgainst(measured=float(counts.sum()), predicted=predicted, error=error, n=frames)
-        )
+        sample = MeasuredAgainst(measured=float(counts.sum()), predicted=predicted, error=error, n=frames)
+        yield compared(name, label, "", sample)
 
 
-def _attitude(prediction: CameraPrediction, rendered: Rendered) -> Iterator[Compared]:
-    """Root mean square of the errors, against that of the standard deviations predicted for the same attitudes."""
+def _attitude(prediction: CameraPrediction, rendered: Rendered) -> Iterator[FrameComparison]:
+    """RMS of the errors against the RMS of the standard deviations predicted for the same attitudes."""
     error = rendered.sky.error_arcsec
     solved = np.isfinite(error).all(axis=1)
     sigma = prediction.attitude.total_arcsec[: len(error)][solved]
-    for name, columns, words in (("cross", slice(0, 2), "across"), ("roll", slice(2, 3), "roll")):
+    for name, columns, direction in (("cross", slice(0, 2), "across"), ("roll", slice(2, 3), "roll")):
         if solved.any():
-            found = rms_against_sigma(error[solved][:, columns], sigma[:, columns])
-            label = f"Attitude {words}, RMS of {int(solved.sum())} frames"
-            yield compared(f"attitude_{name}", label, "arcsec", found)
+            sample = rms_against_sigma(error[solved][:, columns], sigma[:, columns])
+            label = f"Attitude {direction}, RMS of {int(solved.sum())} frames"
+            yield compared(f"attitude_{name}", label, "arcsec", sample)
 
 
-def _comparisons(q: Quantities, compared: list[Compared]) -> None:
-    keys = np.array([one.comparison for one in compared], dtype=object)
-    q.axis("comparison", keys, "Quantity", names=[one.label for one in compared])
+def _comparisons(q: Quantities, compared: list[FrameComparison]) -> None:
+    keys = np.array([row.comparison for row in compared], dtype=object)
+    q.axis("comparison", keys, "Quantity", names=[row.label for row in compared])
 
 
 def frames_drawn(outcome: Outcome) -> Figure:
-    """The first frame of the sky, with what was detected in it."""
+    """The first frame of the sky, with its detections."""
     rendered: Rendered = outcome.result["solved"].rendered
     height, width = rendered.example_e.shape
     figure, panel = new_figure(aspect_ratio=min(1.05, 0.92 * height / width + 0.05))
@@ -247,29 +244,29 @@ JUDGED = {
 }
 ADVICE = {"nea": "the centroider does not follow its linear response: too faint a star, too small a window"}
 FRAMES = Section(
-    record=Compared,
+    record=FrameComparison,
     dim="comparison",
     axes=_comparisons,
     table="frames",
     hidden="comparison",
     rows="comparison",
-    columns="label measured predicted unit error n pull",
+    columns="label measured predicted unit error n deviation_sigma",
     caption="Rendered frames against the prediction for the same stars and attitudes.",
     note="Standard deviation: predicted, of measured minus predicted. Difference: in units of this standard deviation.",
     verdicts=[
         agree(
-            "pull",
+            "deviation_sigma",
             0.0,
             at={"comparison": key},
             title=title,
-            of="whole",
+            of="predicted_over_sigma",
             advice=ADVICE.get(key, ""),
         )
         for key, title in JUDGED.items()
     ],
 )
 SOLVED = Section(
-    record=Solved,
+    record=SolvedFrames,
     figures={"frame": frames_drawn},
     verdicts=[
         ratio_near(

@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 
 from experiments.camera.answer import Swing, Temperatures, ThermalRange, limits
 from experiments.camera.comparison import FRAMES, SOLVED
-from experiments.camera.guides import COVERAGE, LOST, coverage
+from experiments.camera.guides import COVERAGE, LOST_IN_SPACE, coverage
 from experiments.camera.manufacture import MANUFACTURED, RENDERED_LENSES
 from experiments.camera.operation import LIFE, MOTION
-from experiments.camera.settings import Config
+from experiments.camera.settings import CameraReportConfig
 from experiments.harness.drawings import bars, curves
 from experiments.harness.plotting import INK, PALETTE, new_figure
 from experiments.harness.progress import Progress
@@ -37,12 +37,12 @@ __all__ = ["SECTIONS", "predict", "predicted"]
 CURVE_POINTS = 91
 
 
-# --- What the report says of the sensor in words
+# --- Description of the sensor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Setup:
-    """Description of the sensor, and warnings."""
+class SensorSummary:
+    """Sensor and requirements in words, and the prediction."""
 
     name: str = col("Sensor")
     lens: str = col("Lens")
@@ -52,15 +52,15 @@ class Setup:
     prediction: CameraPrediction
 
 
-def setup(prediction: CameraPrediction, requirements: Sequence[Requirement]) -> Setup:
-    """Texts of the report."""
+def setup(prediction: CameraPrediction, requirements: Sequence[Requirement]) -> SensorSummary:
+    """Summary of the sensor."""
     lens, chip = prediction.state.sensor.camera.lens.name, prediction.detector.name
-    return Setup(
+    return SensorSummary(
         name=prediction.config.name or f"{lens} on {chip}",
         lens=lens,
         detector=chip,
         answer=missed_words(requirements),
-        requirements_missed=sum(not one.met for one in requirements),
+        requirements_missed=sum(not requirement.met for requirement in requirements),
         prediction=prediction,
     )
 
@@ -99,14 +99,14 @@ def spots_over_field(outcome: Outcome) -> Figure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fields:
-    """Spot, focus, distortion, light and colour over the field; spot and focus of all light of the pass band."""
+    """Over the field: spot, focus (both over the pass band), distortion, vignetting, colour."""
 
-    field_spot_um: FloatArray = col("RMS spot radius", "um", ".2f", "field")
-    field_focus_um: FloatArray = col("Best focus", "um", ".1f", "field")
-    field_distortion_percent: FloatArray = col("Distortion", "percent", ".3f", "field")
-    field_vignetting_percent: FloatArray = col("Vignetting", "percent", ".1f", "field")
-    field_colour_px: FloatArray = col("Lateral colour", "px", ".3f", "field wavelength", shown=False)
-    axial_colour_focus_um: FloatArray = col("Best focus on axis", "um", ".1f", "wavelength", shown=False)
+    spot_um: FloatArray = col("RMS spot radius", "um", ".2f", "field")
+    focus_um: FloatArray = col("Best focus", "um", ".1f", "field")
+    distortion_percent: FloatArray = col("Distortion", "percent", ".3f", "field")
+    vignetting_percent: FloatArray = col("Vignetting", "percent", ".1f", "field")
+    lateral_colour_px: FloatArray = col("Lateral colour", "px", ".3f", "field wavelength", shown=False)
+    axial_focus_um: FloatArray = col("Best focus on axis", "um", ".1f", "wavelength", shown=False)
     performance: Any
 
 
@@ -114,21 +114,20 @@ def fields(prediction: CameraPrediction) -> Fields:
     """The traced performance of the lens."""
     lens = prediction.state.performance
     return Fields(
-        field_spot_um=1e3 * lens.white.rms_mm(),
-        field_focus_um=1e3 * lens.white.best_mm,
-        field_distortion_percent=100.0 * lens.distortion,
-        field_vignetting_percent=100.0 * (1.0 - lens.vignetting),
-        field_colour_px=lens.lateral_colour_mm / prediction.state.sensor.camera.pixel_pitch_mm,
-        axial_colour_focus_um=1e3 * lens.axial_colour_mm,
+        spot_um=1e3 * lens.white.rms_mm(),
+        focus_um=1e3 * lens.white.best_mm,
+        distortion_percent=100.0 * lens.distortion,
+        vignetting_percent=100.0 * (1.0 - lens.vignetting),
+        lateral_colour_px=lens.lateral_colour_mm / prediction.state.sensor.camera.pixel_pitch_mm,
+        axial_focus_um=1e3 * lens.axial_colour_mm,
         performance=lens,
     )
 
 
-def field_axes(q: Quantities, found: Fields) -> None:
+def field_axes(q: Quantities, fields: Fields) -> None:
     """Field angles and wavelengths of the trace."""
-    q.axis("field", found.performance.field_deg, "Field", unit="deg", format=".2f")
-    waves = found.performance.wavelength_nm
-    q.axis("wavelength", waves, "Wavelength", unit="nm", format=".0f")
+    q.axis("field", fields.performance.field_deg, "Field", unit="deg", format=".2f")
+    q.axis("wavelength", fields.performance.wavelength_nm, "Wavelength", unit="nm", format=".0f")
 
 
 # --- Against magnitude
@@ -136,48 +135,46 @@ def field_axes(q: Quantities, found: Fields) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Magnitudes:
-    """Light, detection and accuracy of a star against its magnitude, mean over the detector; NaN where it saturates."""
+    """Electrons, detection and accuracy of a star against magnitude, mean over the detector; NaN where it saturates."""
 
-    star_electrons_e: FloatArray = col("Electrons", "e-", ".0f", "colour magnitude", shown=False)
-    magnitude_nea_arcsec: FloatArray = col("NEA", "arcsec", ".3f", "magnitude")
-    magnitude_bound_arcsec: FloatArray = col("Cramér-Rao bound of the NEA", "arcsec", ".3f", "magnitude")
-    magnitude_single_arcsec: FloatArray = col("Single-star accuracy", "arcsec", ".3f", "magnitude")
-    magnitude_found: FloatArray = col("Fraction of stars detected", "", ".3f", "magnitude")
+    electrons_e: FloatArray = col("Electrons", "e-", ".0f", "colour magnitude", shown=False)
+    nea_arcsec: FloatArray = col("NEA", "arcsec", ".3f", "magnitude")
+    nea_bound_arcsec: FloatArray = col("Cramér-Rao bound of the NEA", "arcsec", ".3f", "magnitude")
+    single_star_arcsec: FloatArray = col("Single-star accuracy", "arcsec", ".3f", "magnitude")
+    detected_fraction: FloatArray = col("Fraction of stars detected", "", ".3f", "magnitude")
     magnitude_mag: FloatArray
     colours_k: Sequence[float]
 
 
 def magnitudes(prediction: CameraPrediction) -> Magnitudes:
-    """From brighter than the brightest star that does not saturate to fainter than the limit."""
+    """Curves from above the saturation limit to one magnitude below the limiting magnitude."""
     state, stars, config = prediction.state, prediction.stars, prediction.config
-    full, high = prediction.value("saturation_mag"), prediction.value("limiting_magnitude_mag") + 1.0
-    magnitude = np.linspace(min(full - 0.5, high - 2.0), high, CURVE_POINTS)
-    part = (np.arange(8) + 0.5) / 8.0 - 0.5
+    saturation, faintest = prediction.value("saturation_mag"), prediction.value("limiting_magnitude_mag") + 1.0
+    magnitude = np.linspace(min(saturation - 0.5, faintest - 2.0), faintest, CURVE_POINTS)
+    fraction = (np.arange(8) + 0.5) / 8.0 - 0.5
     camera = state.sensor.camera
-    radius = np.hypot(*np.meshgrid(part * camera.width_px, part * camera.height_px)).ravel()
-    at = [prediction.electrons(np.full(len(radius), m), config.star.temperature_k, radius) for m in magnitude]
+    radius = np.hypot(*np.meshgrid(fraction * camera.width_px, fraction * camera.height_px)).ravel()
+    electrons = [prediction.electrons(np.full(len(radius), m), config.star.temperature_k, radius) for m in magnitude]
 
     def curve(sigma_px: FloatArray) -> FloatArray:
-        rms = [float(np.sqrt((stars.sigma_at(sigma_px, e, radius) ** 2).mean())) for e in at]
-        return np.where(magnitude < full, np.nan, state.pixel_arcsec * np.array(rms))
+        rms = [float(np.sqrt((stars.sigma_at(sigma_px, e, radius) ** 2).mean())) for e in electrons]
+        return np.where(magnitude < saturation, np.nan, state.pixel_arcsec * np.array(rms))
 
     return Magnitudes(
-        star_electrons_e=np.stack([prediction.electrons(magnitude, kelvin) for kelvin in config.star.colours_k]),
-        magnitude_nea_arcsec=curve(stars.centroid.noise_px),
-        magnitude_bound_arcsec=curve(stars.centroid.bound_px),
-        magnitude_single_arcsec=np.hypot(
-            curve(stars.centroid.total_px), np.nan_to_num(prediction.value("colour_arcsec"))
-        ),
-        magnitude_found=np.array([float(stars.detected_at(e, radius).mean()) for e in at]),
+        electrons_e=np.stack([prediction.electrons(magnitude, kelvin) for kelvin in config.star.colours_k]),
+        nea_arcsec=curve(stars.centroid.noise_px),
+        nea_bound_arcsec=curve(stars.centroid.bound_px),
+        single_star_arcsec=np.hypot(curve(stars.centroid.total_px), np.nan_to_num(prediction.value("colour_arcsec"))),
+        detected_fraction=np.array([float(stars.detected_at(e, radius).mean()) for e in electrons]),
         magnitude_mag=magnitude,
         colours_k=config.star.colours_k,
     )
 
 
-def magnitude_axes(q: Quantities, found: Magnitudes) -> None:
+def magnitude_axes(q: Quantities, magnitudes: Magnitudes) -> None:
     """Magnitudes and colours of the curves."""
-    q.axis("magnitude", found.magnitude_mag, "Magnitude", unit="mag", format=".2f")
-    q.axis("colour", np.array(found.colours_k), "Star", unit="K", format=".0f")
+    q.axis("magnitude", magnitudes.magnitude_mag, "Magnitude", unit="mag", format=".2f")
+    q.axis("colour", np.array(magnitudes.colours_k), "Star", unit="K", format=".0f")
 
 
 # --- Over the sky
@@ -185,22 +182,22 @@ def magnitude_axes(q: Quantities, found: Magnitudes) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attitudes:
-    """Every attitude that was looked up."""
+    """Prediction at the sampled attitudes."""
 
-    attitudes: int = col("Attitudes")
-    sky_stars: FloatArray = col("Stars per frame", dims="attitude")
-    sky_cross_arcsec: FloatArray = col("Attitude across, 1σ", "arcsec", dims="attitude")
-    sky_roll_arcsec: FloatArray = col("Attitude roll, 1σ", "arcsec", dims="attitude")
+    samples: int = col("Attitudes")
+    stars: FloatArray = col("Stars per frame", dims="attitude")
+    cross_arcsec: FloatArray = col("Attitude across, 1σ", "arcsec", dims="attitude")
+    roll_arcsec: FloatArray = col("Attitude roll, 1σ", "arcsec", dims="attitude")
 
 
 def attitudes(prediction: CameraPrediction) -> Attitudes:
-    """Stars and errors of every attitude; errors are infinite where too few stars are found."""
+    """Stars and errors of every attitude; errors are infinite where too few stars are detected."""
     forecast = prediction.attitude
     return Attitudes(
-        attitudes=len(forecast.stars),
-        sky_stars=forecast.stars,
-        sky_cross_arcsec=np.sqrt((forecast.total_arcsec[:, :2] ** 2).mean(axis=1)),
-        sky_roll_arcsec=forecast.total_arcsec[:, 2],
+        samples=len(forecast.stars),
+        stars=forecast.stars,
+        cross_arcsec=np.sqrt((forecast.total_arcsec[:, :2] ** 2).mean(axis=1)),
+        roll_arcsec=forecast.total_arcsec[:, 2],
     )
 
 
@@ -208,19 +205,19 @@ def draw_sky(outcome: Outcome) -> Figure:
     """Stars per frame, attitude across and roll over the sky, worst 1 % marked."""
     figure, axes = new_figure(1, 3, aspect_ratio=0.34)
     for panel, name, worst, colour in (
-        (axes[0], "sky_stars", "stars_worst_per_frame", PALETTE[2]),
-        (axes[1], "sky_cross_arcsec", "attitude_cross_worst_arcsec", PALETTE[0]),
-        (axes[2], "sky_roll_arcsec", "attitude_roll_worst_arcsec", PALETTE[1]),
+        (axes[0], "attitudes.stars", "stars_worst_per_frame", PALETTE[2]),
+        (axes[1], "attitudes.cross_arcsec", "attitude_cross_worst_arcsec", PALETTE[0]),
+        (axes[2], "attitudes.roll_arcsec", "attitude_roll_worst_arcsec", PALETTE[1]),
     ):
         values = outcome.values(name)
-        known, at = values[np.isfinite(values)], outcome.value(worst)
-        if known.size:
-            top = float(np.quantile(known, 0.995)) * 1.1
-            panel.hist(np.clip(known, None, top), bins=28, color=colour, alpha=0.7)
-            panel.margins(y=0.3)  # room for the words above the bars
-        if np.isfinite(at):
-            panel.axvline(at, color=INK, linewidth=0.9, dashes=(4, 3))
-            panel.annotate("worst 1 %", (at, 0.97), xycoords=("data", "axes fraction"), xytext=(3, 0),
+        finite, worst_value = values[np.isfinite(values)], outcome.value(worst)
+        if finite.size:
+            top = float(np.quantile(finite, 0.995)) * 1.1
+            panel.hist(np.clip(finite, None, top), bins=28, color=colour, alpha=0.7)
+            panel.margins(y=0.3)  # for the label above the bars
+        if np.isfinite(worst_value):
+            panel.axvline(worst_value, color=INK, linewidth=0.9, dashes=(4, 3))
+            panel.annotate("worst 1 %", (worst_value, 0.97), xycoords=("data", "axes fraction"), xytext=(3, 0),
                            textcoords="offset points", va="top", fontsize=7.5, rotation=90)  # fmt: skip
         panel.set(xlabel=outcome.heading(name), yticks=[])
         panel.spines["left"].set_visible(False)
@@ -228,32 +225,32 @@ def draw_sky(outcome: Outcome) -> Figure:
     return figure
 
 
-def temperature_axis(q: Quantities, found: Temperatures) -> None:
+def temperature_axis(q: Quantities, temperatures: Temperatures) -> None:
     """Temperatures of lens and housing."""
-    q.axis("temperature", found.temperature_c, "Temperature", unit="°C", format=".0f")
+    q.axis("temperature", temperatures.temperature_c, "Temperature", unit="°C", format=".0f")
 
 
-def swing_axes(q: Quantities, found: Sequence[Swing]) -> None:
+def swing_axes(q: Quantities, swings: Sequence[Swing]) -> None:
     """Keys, named with their two values."""
-    pairs = [f"{one.low:.3g} or {one.high:.3g}".replace("-", "\N{MINUS SIGN}") for one in found]
-    names = [f"{one.label}, {pair} {one.unit}".strip() for one, pair in zip(found, pairs, strict=True)]
-    q.axis("key", np.array([one.key for one in found], dtype=object), "Key", names=names)
+    pairs = [f"{swing.low:.3g} or {swing.high:.3g}".replace("-", "\N{MINUS SIGN}") for swing in swings]
+    names = [f"{swing.label}, {pair} {swing.unit}".strip() for swing, pair in zip(swings, pairs, strict=True)]
+    q.axis("key", np.array([swing.key for swing in swings], dtype=object), "Key", names=names)
     q.axis("end", ["low", "high"], "End", names=["lower value", "upper value"])
 
 
 # --- The run
 
 
-def predict(config: Config, *, progress: Progress) -> dict[str, Any]:
+def predict(config: CameraReportConfig, *, progress: Progress) -> dict[str, Any]:
     """The sensor without temperatures, changes and frames, for sweeps and comparisons."""
     del progress
     return predicted(predict_camera(config))
 
 
-def predicted(prediction: CameraPrediction, *more: Any) -> dict[str, Any]:
-    """Sections that a prediction fills; ``more`` records have further numbers that are required."""
-    covered = coverage(prediction)
-    requirements = judge(limits(prediction.config), numbers_of(*prediction.records, covered, *more))
+def predicted(prediction: CameraPrediction, *records: Any) -> dict[str, Any]:
+    """Sections of a prediction; requirements are judged by its numbers and those of further ``records``."""
+    guide_coverage = coverage(prediction)
+    requirements = judge(limits(prediction.config), numbers_of(*prediction.records, guide_coverage, *records))
     return {
         "setup": setup(prediction, requirements),
         "requirements": requirements,
@@ -261,12 +258,12 @@ def predicted(prediction: CameraPrediction, *more: Any) -> dict[str, Any]:
         "fields": fields(prediction),
         "magnitudes": magnitudes(prediction),
         "attitudes": attitudes(prediction),
-        "coverage": covered,
+        "coverage": guide_coverage,
     }
 
 
 SECTIONS: Mapping[str, Section] = {
-    "setup": Section(record=Setup, figures={"lens": draw_section, "spots": spots_over_field}),
+    "setup": Section(record=SensorSummary, figures={"lens": draw_section, "spots": spots_over_field}),
     "requirements": REQUIREMENTS,
     "optics": Section(
         record=Optics, table="optics", vertical=True, caption="Lens and detector, as configured."
@@ -292,13 +289,13 @@ SECTIONS: Mapping[str, Section] = {
         figures={
             "magnitude_accuracy": curves(
                 "magnitude",
-                lines="magnitude_single_arcsec magnitude_nea_arcsec magnitude_bound_arcsec",
+                lines="single_star_arcsec nea_arcsec nea_bound_arcsec",
                 log="y",
                 y="One axis, 1σ",
                 aspect_ratio=0.9,
                 width="half",
             ),
-            "completeness": curves("magnitude", lines="magnitude_found", aspect_ratio=0.9, width="half"),
+            "completeness": curves("magnitude", lines="detected_fraction", aspect_ratio=0.9, width="half"),
         },
     ),
     "attitudes": Section(record=Attitudes, figures={"sky_distributions": draw_sky}),
@@ -316,12 +313,12 @@ SECTIONS: Mapping[str, Section] = {
         axes=swing_axes,
         table="what_to_change",
         across="end",
-        columns="swing_attitude_cross_arcsec swing_limiting_magnitude_mag",
+        columns="attitude_cross_change limiting_magnitude_change_mag",
         caption="Relative change of the attitude error across and change of the limiting magnitude, by key.",
-        figures={"what_to_change": bars("key", bars="swing_attitude_cross_arcsec", by="end", aspect_ratio=0.5)},
+        figures={"what_to_change": bars("key", bars="attitude_cross_change", by="end", aspect_ratio=0.5)},
     ),
     "coverage": COVERAGE,
-    "lost": LOST,
+    "lost_in_space": LOST_IN_SPACE,
     "motion": MOTION,
     "life": LIFE,
     "manufactured": MANUFACTURED,

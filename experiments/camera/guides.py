@@ -28,11 +28,10 @@ from optics.errors import DomainError, StarbenchError
 from render.engine.random import Streams
 from render.sensor_file.catalogue import load_catalogue
 
-LEAST = (2, 3, 4, 5, 6, 8, 10, 15, 20)
-NEEDED = 4
-"""Stars of a pattern."""
+GUIDE_COUNTS = (2, 3, 4, 5, 6, 8, 10, 15, 20)
+PATTERN_STARS = 4
 WRONG_PX, WRONG_SIGMA = 3.0, 10.0
-"""An attitude that is off by more than either is a wrong identification."""
+"""An attitude error above both limits is a wrong identification."""
 NARROWEST_DEG = 2.0
 
 
@@ -42,50 +41,50 @@ class Coverage:
 
     guide_brightest_mag: float = col("Guide stars from", "mag", ".2f")
     guide_faintest_mag: float = col("Guide stars to", "mag", ".2f")
-    guides_mean_per_frame: float = col("Guide stars per frame, mean over the sky", "", ".1f")
-    sky_coverage_percent: float = col(f"Sky with {NEEDED} guide stars or more", "percent", ".2f")
-    coverage_percent: FloatArray = col("Share of the sky", "percent", ".2f", "least")
+    guide_stars_mean_per_frame: float = col("Guide stars per frame, mean over the sky", "", ".1f")
+    sky_coverage_percent: float = col(f"Sky with {PATTERN_STARS} guide stars or more", "percent", ".2f")
+    sky_percent: FloatArray = col("Fraction of the sky", "percent", ".2f", "least")
 
 
 def coverage(prediction: CameraPrediction) -> Coverage:
     """Guide stars in the attitudes of the prediction."""
     view, state, config = prediction.view, prediction.state, prediction.config
     camera = state.sensor.camera
-    whole = whole_windows(view.sample.pixel_px, (camera.width_px, camera.height_px), config.window_px)
+    inside = whole_windows(view.sample.pixel_px, (camera.width_px, camera.height_px), config.window_px)
     brightest, faintest = prediction.value("saturation_mag"), prediction.limits_mag[0.9]
-    known = load_catalogue(config.catalogue)
-    stars = known.select(np.flatnonzero(known.magnitude <= view.depth_mag))
+    catalogue = load_catalogue(config.catalogue)
+    stars = catalogue.select(np.flatnonzero(catalogue.magnitude <= view.depth_mag))
     try:
         guides = prediction.guide_stars(stars, stars.direction, brightest_mag=brightest, faintest_mag=faintest).row
-    except DomainError:  # none is left
+    except DomainError:  # no guide star
         guides = np.empty(0, np.int64)
-    guide = whole & np.isin(view.sample.row, guides)
+    guide = inside & np.isin(view.sample.row, guides)
     count = view.sample.summed(guide.astype(float))
-    share = [100.0 * float(np.mean(count > least - 0.5)) for least in LEAST]
+    sky_percent = [100.0 * float(np.mean(count > least - 0.5)) for least in GUIDE_COUNTS]
     return Coverage(
         guide_brightest_mag=brightest,
         guide_faintest_mag=faintest,
-        guides_mean_per_frame=float(count.mean()),
-        sky_coverage_percent=share[LEAST.index(NEEDED)],
-        coverage_percent=np.array(share),
+        guide_stars_mean_per_frame=float(count.mean()),
+        sky_coverage_percent=sky_percent[GUIDE_COUNTS.index(PATTERN_STARS)],
+        sky_percent=np.array(sky_percent),
     )
 
 
-def _least(q: Quantities, found: Coverage) -> None:
-    del found
-    q.axis("least", np.array(LEAST), "Guide stars, at least")
+def _guide_count_axis(q: Quantities, coverage: Coverage) -> None:
+    del coverage
+    q.axis("least", np.array(GUIDE_COUNTS), "Guide stars, at least")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LostInSpace:
-    """Identifications of drawn lists of stars."""
+    """Identification of drawn star lists without a prior attitude."""
 
-    lost_attitudes: int = col("Attitudes identified lost in space")
+    attitudes: int = col("Attitudes identified lost in space")
     lost_success_percent: float = col("Lost in space: identified", "percent", ".1f", default=math.nan)
-    lost_success: Measured | None = col("Fraction of attitudes identified", default=None)
-    lost_wrong_percent: float = col("Lost in space: wrongly identified", "percent", ".2f", default=math.nan)
-    lost_time_s: float = col("Identification on this machine, median", "s", ".2g", default=math.nan)
-    lost_refusal: str = col("Reason for no identification", default="")
+    success_fraction: Measured | None = col("Fraction of attitudes identified", default=None)
+    wrong_percent: float = col("Lost in space: wrongly identified", "percent", ".2f", default=math.nan)
+    identification_time_s: float = col("Identification on this machine, median", "s", ".2g", default=math.nan)
+    refusal: str = col("Reason for no identification", default="")
 
 
 def lost_in_space(prediction: CameraPrediction, *, advance: Callable[[], None] = lambda: None) -> LostInSpace | None:
@@ -97,21 +96,21 @@ def lost_in_space(prediction: CameraPrediction, *, advance: Callable[[], None] =
     try:
         if prediction.value("field_diagonal_deg") < NARROWEST_DEG:
             return LostInSpace(
-                lost_attitudes=0,
-                lost_refusal=f"fields below {NARROWEST_DEG:g} deg are too narrow for patterns of the whole sky",
+                attitudes=0,
+                refusal=f"fields below {NARROWEST_DEG:g} deg are too narrow for patterns of the whole sky",
             )
         model = fit_camera(state.sensor.pixel_map(state.band, temperature_k=config.star.temperature_k)).camera
         patterns = star_patterns(model)
     except StarbenchError as error:  # such as tetra3rs, which is an extra
-        return LostInSpace(lost_attitudes=0, lost_refusal=str(error).splitlines()[0])
+        return LostInSpace(attitudes=0, refusal=str(error).splitlines()[0])
     streams, forecast = Streams(config.seed).child("camera"), prediction.attitude
     electrons = state.electrons_per_s(view.magnitude, view.temperature_k, view.radius_px)
-    size, good, wrong, took = (model.geometry.width_px, model.geometry.height_px), 0, 0, []
+    size, correct, wrong, times_s = (model.geometry.width_px, model.geometry.height_px), 0, 0, []
     order = np.argsort(view.sample.frame, kind="stable")
     ends = np.searchsorted(view.sample.frame[order], np.arange(count + 1))
     for number in range(count):
         rows = order[ends[number] : ends[number + 1]]
-        place, light = draw_star_list(
+        position_px, flux = draw_star_list(
             model.project(view.sample.direction[rows]),
             electrons[rows],
             forecast.sigma_px[rows],
@@ -120,36 +119,37 @@ def lost_in_space(prediction: CameraPrediction, *, advance: Callable[[], None] =
             size_px=size,
             rng=streams.generator("lost", number),
         )
-        begun = time.perf_counter()
-        found = identify(place, model, patterns, flux=light)
-        took.append(time.perf_counter() - begun)
-        if found.ok and found.attitude is not None and found.attitude.rotation is not None:
-            across = math.hypot(*attitude_error_arcsec(found.attitude.rotation, view.attitudes[number])[:2])
+        start = time.perf_counter()
+        identification = identify(position_px, model, patterns, flux=flux)
+        times_s.append(time.perf_counter() - start)
+        solution = identification.attitude
+        if identification.ok and solution is not None and solution.rotation is not None:
+            across = math.hypot(*attitude_error_arcsec(solution.rotation, view.attitudes[number])[:2])
             sigma = math.hypot(*forecast.total_arcsec[number, :2])
             allowed = max(WRONG_PX * state.pixel_arcsec, WRONG_SIGMA * sigma if math.isfinite(sigma) else 0.0)
-            good, wrong = good + (across <= allowed), wrong + (across > allowed)
+            correct, wrong = correct + (across <= allowed), wrong + (across > allowed)
         advance()
     return LostInSpace(
-        lost_attitudes=count,
-        lost_success_percent=100.0 * good / count,
-        lost_success=fraction_measured(good, count),
-        lost_wrong_percent=100.0 * wrong / count,
-        lost_time_s=float(np.median(took)),
+        attitudes=count,
+        lost_success_percent=100.0 * correct / count,
+        success_fraction=fraction_measured(correct, count),
+        wrong_percent=100.0 * wrong / count,
+        identification_time_s=float(np.median(times_s)),
     )
 
 
-def fraction_measured(good: int, count: int) -> Measured:
-    """A fraction with its binomial standard error, that of one miss at least."""
-    share = good / count
-    return Measured(value=share, uncertainty=math.sqrt(max(share * (1 - share), 1 / count) / count), n=count)
+def fraction_measured(successes: int, count: int) -> Measured:
+    """Fraction with its binomial standard error; p (1 - p) is at least 1 / n."""
+    p = successes / count
+    return Measured(value=p, uncertainty=math.sqrt(max(p * (1 - p), 1 / count) / count), n=count)
 
 
 COVERAGE = Section(
     record=Coverage,
-    axes=_least,
+    axes=_guide_count_axis,
     table="coverage",
     rows="least",
-    columns="coverage_percent",
+    columns="sky_percent",
     caption="Fraction of the sky with at least this number of guide stars in the field.",
 )
-LOST = Section(record=LostInSpace)
+LOST_IN_SPACE = Section(record=LostInSpace)

@@ -20,7 +20,7 @@ import numpy as np
 from calib.accuracy.attitude_forecast import with_noise_scaled
 from calib.accuracy.distortion import map_change_px, polynomial_rms_px
 from calib.measure.centroid_error.prediction import predict_centroids
-from experiments.camera.settings import Config
+from experiments.camera.settings import CameraReportConfig
 from experiments.harness.drawings import bars
 from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, col
@@ -37,100 +37,99 @@ from render.engine.random import Streams
 from render.sensor_file.file import ManufactureConfig
 
 GRID = (7, 5)
-"""Places of the detector, columns x rows, to `REACH` of its half sides."""
-REACH = 0.95
-NEA_PLACES = (8, 12, 22, 26)
-"""One in every quarter, near the Gauss points: the mean over the detector."""
-PERCENT = (50, 90, 95, 99)
-SHOWN = {
+"""Field points, columns x rows, within `GRID_FRACTION` of the half sides of the detector."""
+GRID_FRACTION = 0.95
+NEA_POINTS = (8, 12, 22, 26)
+"""Field points near the Gauss points of the quadrants, whose mean is that over the detector."""
+PERCENTILES = (50, 90, 95, 99)
+LABELS = {
     "nea": "NEA",
     "attitude_cross": "Attitude across, median",
     "lsfe_before": "Distortion, not calibrated",
     "lsfe_after": "Distortion, calibrated",
 }
 JUDGED = ("nea_arcsec", "attitude_cross_arcsec", "lsfe_before_arcsec", "lsfe_after_arcsec", "spot_px")
-"""Requirements that a lens may miss."""
-CHOSEN = (0.1, 0.5, 0.9)
-"""Rendered lenses, as fractions of all in the order of their NEA."""
-MOST = 8
-"""Offenders that are listed."""
+"""Requirements on a manufactured lens; those of the sensor file count for the yield."""
+RANKS = (0.1, 0.5, 0.9)
+"""Ranks of the rendered lenses in the order of their NEA."""
+OFFENDERS = 8
+"""Listed tolerances."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Manufactured:
-    """Manufactured lenses, one standard deviation, and the same by the sensitivities of all tolerances."""
+    """Distribution of the errors (one standard deviation) of manufactured lenses, and sensitivities to tolerances."""
 
-    built_lenses: int = col("Lenses that were traced")
-    built_lost: int = col("Lenses without an image")
-    built_yield: float = col(
+    lenses: int = col("Lenses that were traced")
+    failed_lenses: int = col("Lenses without an image")
+    yield_fraction: float = col(
         "Fraction of lenses that meets the nea, attitude_cross, spot and lsfe requirements", "", ".3f"
     )
-    built_arcsec: FloatArray = col("Not exceeded by this fraction of lenses", "arcsec", ".3f", "built percentile")
-    built_nominal_arcsec: FloatArray = col("Nominal", "arcsec", ".3f", "built")
-    built_spot_px: FloatArray = col(
+    error_arcsec: FloatArray = col("Not exceeded by this fraction of lenses", "arcsec", ".3f", "built percentile")
+    nominal_arcsec: FloatArray = col("Nominal", "arcsec", ".3f", "built")
+    spot_px: FloatArray = col(
         "Largest spot radius, not exceeded by this fraction of lenses", "px", ".3f", "percentile", shown=False
     )
-    built_rms_arcsec: float = col("Distortion not calibrated, RMS of the lenses", "arcsec", ".3f")
-    built_linear_arcsec: float = col("Distortion not calibrated, by sensitivities", "arcsec", ".3f")
-    offender_lsfe_arcsec: FloatArray = col("Distortion not calibrated per 1σ", "arcsec", ".3f", "offender")
+    distortion_rms_arcsec: float = col("Distortion not calibrated, RMS of the lenses", "arcsec", ".3f")
+    distortion_rss_arcsec: float = col("Distortion not calibrated, by sensitivities", "arcsec", ".3f")
+    offender_distortion_arcsec: FloatArray = col("Distortion not calibrated per 1σ", "arcsec", ".3f", "offender")
     offender_spot_um2: FloatArray = col("Growth of the squared spot radius per 1σ", "um²", ".3f", "offender")
     offenders: tuple[str, ...]
-    chosen: tuple[tuple[LensSystem, float], ...]  # Lenses in their focus, and their NEA over that of the nominal one
+    ranked: tuple[tuple[LensSystem, float], ...]  # Lenses at `RANKS` in focus, and NEA over the nominal one
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RenderedLens:
-    """A drawn lens in rendered frames."""
+    """A manufactured lens in rendered frames."""
 
-    share_percent: float = col("Lenses with less noise", "percent", ".0f")
+    rank_percent: float = col("Lenses with less noise", "percent", ".0f")
     measured_arcsec: Measured = col("NEA in frames", "arcsec", ".3f")
     predicted_arcsec: float = col("predicted", "arcsec", ".3f")
 
 
 class _Probe:
-    """Traces lenses at the same places of the detector, and states their errors against the nominal lens."""
+    """Traces lenses at the field points of the nominal lens, and evaluates their errors against it."""
 
     def __init__(self, prediction: CameraPrediction, *, refocused: bool) -> None:
         state, camera = prediction.state, prediction.state.sensor.camera
         self.prediction, self.refocused, self.pitch_mm = prediction, refocused, camera.pixel_pitch_mm
         self.pixel_arcsec = state.pixel_arcsec
-        x, y = (np.linspace(-REACH, REACH, n) for n in GRID)
+        x, y = (np.linspace(-GRID_FRACTION, GRID_FRACTION, n) for n in GRID)
         self.position = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-        place_px = self.position * [camera.width_px / 2, camera.height_px / 2]
-        self.place_px = place_px
-        self.field_deg = field_angles_deg(state.sensor.direction_at(*(place_px + camera.centre_px).T))
+        self.offset_px = self.position * [camera.width_px / 2, camera.height_px / 2]
+        self.field_deg = field_angles_deg(state.sensor.direction_at(*(self.offset_px + camera.centre_px).T))
         self.nominal = self.trace(camera.focused_lens, refocused=False)
 
     def trace(self, lens: LensSystem, *, refocused: bool | None = None, shift_mm: float = 0.0) -> PolychromaticSpots:
-        """One lens, in its best focus if that is set again, and off it."""
-        state, again = self.prediction.state, self.refocused if refocused is None else refocused
+        """Spots of a lens in its best focus (``refocused``, by default as configured) plus ``shift_mm``."""
+        state, refocused = self.prediction.state, self.refocused if refocused is None else refocused
         return polychromatic_spots(
-            lens, *self.field_deg, state.light.wavelength_nm[0], state.fraction, refocused=again, shift_mm=shift_mm
+            lens, *self.field_deg, state.light.wavelength_nm[0], state.fraction, refocused=refocused, shift_mm=shift_mm
         )
 
     def nea_px(self, images: PolychromaticSpots) -> float:
-        """Noise of the quoted star's centroid."""
+        """Centroid noise of the quoted star."""
         prediction, frame = self.prediction, self.prediction.processing.frame
-        light = images.light_mm2.mean() / self.nominal.light_mm2.mean()
+        relative_light = images.light_mm2.mean() / self.nominal.light_mm2.mean()
         errors = predict_centroids(
             "epsf",
-            prediction.state.blurred_psfs(images, NEA_PLACES),
-            np.array([prediction.axis_e * light]),
+            prediction.state.blurred_psfs(images, NEA_POINTS),
+            np.array([prediction.axis_e * relative_light]),
             noise=frame.noise,
             background_e=frame.background_e,
             window_px=prediction.config.window_px,
-            phases=4,  # two miss the middle of the pixel, where a sharp spot is worst
+            phases=4,  # two phases would miss the middle of the pixel, where the noise of a sharp spot is largest
         )
         return float(np.sqrt((errors.noise_px**2).mean()))
 
     def map_change(self, images: PolychromaticSpots, reference: PolychromaticSpots) -> float:
-        """Distortion against another lens after shift, roll and, where the focus was set again, scale [arcsec]."""
+        """Distortion [arcsec] relative to another lens after shift, roll and, if refocused, scale."""
         change_px = (images.position_mm - reference.position_mm) / self.pitch_mm
-        return self.pixel_arcsec * map_change_px(self.place_px, change_px * [1.0, -1.0], scaled=self.refocused)
+        return self.pixel_arcsec * map_change_px(self.offset_px, change_px * [1.0, -1.0], scaled=self.refocused)
 
     def calibrated(self, images: PolychromaticSpots) -> float:
-        """Distortion that a cubic polynomial leaves [arcsec]."""
-        return self.pixel_arcsec * polynomial_rms_px(self.position / REACH, images.position_mm / self.pitch_mm)
+        """Distortion [arcsec] after a fitted cubic polynomial."""
+        return self.pixel_arcsec * polynomial_rms_px(self.position / GRID_FRACTION, images.position_mm / self.pitch_mm)
 
     def spot_px(self, images: PolychromaticSpots) -> float:
         """Largest RMS radius of a spot."""
@@ -138,7 +137,7 @@ class _Probe:
 
 
 def tolerances_of(config: ManufactureConfig) -> Tolerances:
-    """The table ``[manufacture]`` in the units of the lens."""
+    """Tolerances of the table ``[manufacture]``."""
     return Tolerances(
         decentre_mm=config.decentre_um * UM_MM,
         tilt_deg=config.tilt_arcmin / 60.0,
@@ -159,7 +158,7 @@ def manufactured(
     DomainError
         If fewer than two lenses have an image.
     """
-    config: Config = prediction.config
+    config: CameraReportConfig = prediction.config
     setting, lens = config.manufacture, prediction.state.sensor.camera.focused_lens
     lens.check_surfaces()
     probe, moves = _Probe(prediction, refocused=setting.refocused), perturbations(lens, tolerances_of(setting))
@@ -167,8 +166,8 @@ def manufactured(
     traced: list[tuple[LensSystem, PolychromaticSpots]] = []
     for amounts in draw_amounts(rng, setting.lenses, len(moves) + 1, uniform=setting.distribution == "uniform"):
         try:
-            made = perturbed(lens, moves, amounts[:-1])
-            traced.append((made, probe.trace(made, shift_mm=float(amounts[-1]) * setting.focus_um * UM_MM)))
+            drawn = perturbed(lens, moves, amounts[:-1])
+            traced.append((drawn, probe.trace(drawn, shift_mm=float(amounts[-1]) * setting.focus_um * UM_MM)))
         except (ConvergenceError, DomainError):
             pass
         advance()
@@ -176,65 +175,65 @@ def manufactured(
         raise DomainError(
             f"{len(traced)} of {setting.lenses} lenses form an image; lower the tolerances of [manufacture]"
         )
-    images = [one for _, one in traced]
-    ratio = np.array([probe.nea_px(one) for one in images]) / probe.nea_px(probe.nominal)
+    spots = [lens_spots for _, lens_spots in traced]
+    ratio = np.array([probe.nea_px(images) for images in spots]) / probe.nea_px(probe.nominal)
     noise, total = prediction.value("attitude_cross_noise_arcsec"), prediction.value("attitude_cross_arcsec")
     errors = np.stack(
         [
             prediction.value("nea_arcsec") * ratio,
             with_noise_scaled(total, noise, ratio),
-            [probe.map_change(one, probe.nominal) for one in images],
-            [probe.calibrated(one) for one in images],
-            [probe.spot_px(one) for one in images],
+            [probe.map_change(images, probe.nominal) for images in spots],
+            [probe.calibrated(images) for images in spots],
+            [probe.spot_px(images) for images in spots],
         ]
     )
     met = [values <= limits[name][0] for name, values in zip(JUDGED, errors, strict=True) if name in limits]
-    rank = np.argsort(ratio)
-    chosen = rank[np.rint(np.array(CHOSEN) * (len(traced) - 1)).astype(int)]
+    by_noise = np.argsort(ratio)
+    ranked = by_noise[np.rint(np.array(RANKS) * (len(traced) - 1)).astype(int)]
     return Manufactured(
-        built_lenses=len(traced),
-        built_lost=setting.lenses - len(traced),
-        built_yield=float(np.all([np.ones(len(traced), bool), *met], axis=0).sum() / setting.lenses),
-        built_arcsec=np.percentile(errors[:4], PERCENT, axis=1).T,
-        built_nominal_arcsec=np.array([prediction.value("nea_arcsec"), total, 0.0, probe.calibrated(probe.nominal)]),
-        built_spot_px=np.percentile(errors[4], PERCENT),
-        built_rms_arcsec=float(np.sqrt((errors[2] ** 2).mean())),
-        chosen=tuple((_at_detector(*traced[k]), float(ratio[k])) for k in chosen),
+        lenses=len(traced),
+        failed_lenses=setting.lenses - len(traced),
+        yield_fraction=float(np.all([np.ones(len(traced), bool), *met], axis=0).sum() / setting.lenses),
+        error_arcsec=np.percentile(errors[:4], PERCENTILES, axis=1).T,
+        nominal_arcsec=np.array([prediction.value("nea_arcsec"), total, 0.0, probe.calibrated(probe.nominal)]),
+        spot_px=np.percentile(errors[4], PERCENTILES),
+        distortion_rms_arcsec=float(np.sqrt((errors[2] ** 2).mean())),
+        ranked=tuple((_at_detector(*traced[k]), float(ratio[k])) for k in ranked),
         **_offenders(probe, lens, moves),
     )
 
 
 def _offenders(probe: _Probe, lens: LensSystem, moves: dict[str, Any]) -> dict[str, Any]:
-    """Sensitivities to all tolerances, the largest listed."""
+    """Sensitivities to all tolerances by central differences; the largest listed."""
     reference = probe.trace(lens)
     ends = [[probe.trace(move(lens, sign)) for sign in (1.0, -1.0)] for move in moves.values()]
     single = np.array([0.5 * probe.map_change(up, down) for up, down in ends])
     growth = np.array([(0.5 * (up.square_mm2 + down.square_mm2) - reference.square_mm2).mean() for up, down in ends])
-    order = np.argsort(-growth / growth.max(initial=1e-36) - single / single.max(initial=1e-30))[:MOST]
+    order = np.argsort(-growth / growth.max(initial=1e-36) - single / single.max(initial=1e-30))[:OFFENDERS]
     return {
-        "built_linear_arcsec": float(np.sqrt((single**2).sum())),
-        "offender_lsfe_arcsec": single[order],
+        "distortion_rss_arcsec": float(np.sqrt((single**2).sum())),
+        "offender_distortion_arcsec": single[order],
         "offender_spot_um2": growth[order] * 1e6,
         "offenders": tuple(np.array(list(moves), dtype=object)[order]),
     }
 
 
-def yield_line(found: Manufactured) -> str:
+def yield_line(result: Manufactured) -> str:
     """Line on the yield for the terminal."""
-    nea_arcsec = found.built_arcsec[0, PERCENT.index(95)]
-    drawn = found.built_lenses + found.built_lost
-    words = f"{100.0 * found.built_yield:.3g} % of {drawn} lenses meet their requirements"
-    return f"{'Yield':<19} {words}; NEA of 95 %: {nea_arcsec:.3g}\u2033"
+    nea_arcsec = result.error_arcsec[0, PERCENTILES.index(95)]
+    drawn = result.lenses + result.failed_lenses
+    met = f"{100.0 * result.yield_fraction:.3g} % of {drawn} lenses meet their requirements"
+    return f"{'Yield':<19} {met}; NEA of 95 %: {nea_arcsec:.3g}\u2033"
 
 
 def _at_detector(lens: LensSystem, images: PolychromaticSpots) -> LensSystem:
     return replace(lens, image_position_mm=lens.image_position_mm + images.shift_mm * lens.image_rotation[:, 2])
 
 
-def _axes(q: Quantities, found: Manufactured) -> None:
-    q.axis("built", list(SHOWN), "Error", names=list(SHOWN.values()))
-    q.axis("percentile", [str(p) for p in PERCENT], "Share of the lenses", names=[f"{p} %" for p in PERCENT])
-    q.axis("offender", np.array(found.offenders, dtype=object), "Tolerance, one standard deviation")
+def _axes(q: Quantities, result: Manufactured) -> None:
+    q.axis("built", list(LABELS), "Error", names=list(LABELS.values()))
+    q.axis("percentile", [str(p) for p in PERCENTILES], "Fraction of the lenses", names=[f"{p} %" for p in PERCENTILES])
+    q.axis("offender", np.array(result.offenders, dtype=object), "Tolerance, one standard deviation")
 
 
 MANUFACTURED = Section(
@@ -243,9 +242,9 @@ MANUFACTURED = Section(
     table="manufactured",
     rows="built",
     across="percentile",
-    columns="built_nominal_arcsec built_arcsec",
+    columns="nominal_arcsec error_arcsec",
     caption="Manufactured lenses: value not exceeded by the stated fraction of lenses; one standard deviation.",
-    figures={"offenders": bars("offender", bars="offender_lsfe_arcsec", aspect_ratio=0.5)},
+    figures={"offenders": bars("offender", bars="offender_distortion_arcsec", aspect_ratio=0.5)},
 )
 RENDERED_LENSES = Section(
     record=RenderedLens,

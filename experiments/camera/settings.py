@@ -14,7 +14,7 @@ from experiments.laboratory.settings.prediction import PredictedSensorConfig
 from optics.settings import StrictModel
 
 
-class MotionConfig(StrictModel):
+class SlewRatesConfig(StrictModel):
     """Slew rates of the curves, from rest to the rate whose trail fills the window."""
 
     points: int = Field(default=5, ge=0, le=41, description="number of rates")
@@ -23,7 +23,7 @@ class MotionConfig(StrictModel):
     )
 
 
-class ThermalConfig(StrictModel):
+class TemperatureRangeConfig(StrictModel):
     """Temperatures of lens and housing; the lens is focused at the prescription's temperature."""
 
     lowest_c: float = Field(default=-20.0, ge=-100, le=100, description="lowest temperature")
@@ -31,7 +31,7 @@ class ThermalConfig(StrictModel):
     points: int = Field(default=5, ge=2, le=41, description="number of temperatures")
 
     @model_validator(mode="after")
-    def _range(self) -> ThermalConfig:
+    def _range(self) -> TemperatureRangeConfig:
         if self.lowest_c >= self.highest_c:
             raise ValueError(f"lowest_c = {self.lowest_c:g} is not below highest_c = {self.highest_c:g}")
         return self
@@ -43,7 +43,7 @@ class LostConfig(StrictModel):
     attitudes: int = Field(default=200, ge=0, le=10_000, description="number of attitudes taken from [sky]")
 
 
-class FramesConfig(StrictModel):
+class ChartFramesConfig(StrictModel):
     """Rendered frames that confirm the prediction."""
 
     sky: int = Field(default=8, ge=2, le=1000, description="frames of the real sky, in random attitudes")
@@ -75,7 +75,7 @@ class TornadoConfig(StrictModel):
     chip_k: float = Field(default=10.0, gt=0, le=50, description="change of the chip temperature")
 
 
-class Config(SweptConfig, PredictedSensorConfig):
+class CameraReportConfig(SweptConfig, PredictedSensorConfig):
     """Sensor file and evaluations; defaults: the built-in star tracker."""
 
     NOT_SWEPT: ClassVar[frozenset[str]] = frozenset(
@@ -96,10 +96,10 @@ class Config(SweptConfig, PredictedSensorConfig):
         }
     )
 
-    motion: MotionConfig = MotionConfig()
-    thermal: ThermalConfig = ThermalConfig()
+    motion: SlewRatesConfig = SlewRatesConfig()
+    thermal: TemperatureRangeConfig = TemperatureRangeConfig()
     lost: LostConfig = LostConfig()
-    frames: FramesConfig = FramesConfig()
+    frames: ChartFramesConfig = ChartFramesConfig()
     tornado: TornadoConfig = TornadoConfig()
     predict_only: bool = Field(default=False, description="predict only, without rendered frames")
 
@@ -107,7 +107,7 @@ class Config(SweptConfig, PredictedSensorConfig):
 experiment = with_what_if(
     Experiment(
         name="camera",
-        config=Config,
+        config=CameraReportConfig,
         run="run:run",
         sections="experiment:SECTIONS",
         predict="experiment:predict",
@@ -122,7 +122,7 @@ experiment = with_what_if(
             "stars_mean_per_frame",
             "spot_px",
         ),
-        compared=("magnitude_nea_arcsec", "magnitude_found"),
+        compared=("magnitudes.nea_arcsec", "magnitudes.detected_fraction"),
         takes="1 min (--quick: 30 s)",
         examples={
             "--sensor my.toml": "your own sensor",

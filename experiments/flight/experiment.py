@@ -1,4 +1,4 @@
-"""The flight: its budget, its frames, the terms of both, and the metrics of the mission."""
+"""Flight of a star sensor: error budget, rendered frames, their error terms, metrics, availability."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from calib.attitude.tracker import sky_coverage
 from experiments.flight.frames import Segment, render_flight
 from experiments.flight.prediction import Budget, build_budget
 from experiments.flight.scenario import Flight, build_flight
-from experiments.flight.settings import Config
+from experiments.flight.settings import FlightConfig
 from experiments.flight.terms import COMPONENTS, LABELS, VERDICTS, AttitudeTerm, measured_terms, predicted_terms
 from experiments.harness.drawings import bars, curves
 from experiments.harness.progress import Progress
@@ -27,12 +27,12 @@ from optics.errors import DomainError
 from optics.lens.heated_lens import ThermalState
 from render.motion.trajectory import rate_of_trail, trail_of_rate
 
-HISTORY = 61
+ORBIT_SAMPLES = 61
 """Times of the curves over the orbit."""
-COVERAGE = 1500
+COVERAGE_ATTITUDES = 1500
 CONFIDENCE = 0.9
 LEVEL = 0.95
-"""Confidence level that the metrics are quoted for."""
+"""Confidence level of the metrics."""
 
 
 # --- The sensor and its mission
@@ -40,36 +40,40 @@ LEVEL = 0.95
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mission:
-    """Sensor and availability of its attitude."""
+    """Sensor, guide catalogue, availability and acquisition."""
 
     name: str = col("Sensor")
     lens: str = col("Lens")
     detector: str = col("Detector")
     period_s: float = col("Period of the orbit", "s", ".0f")
     rate_deg_per_s: float = col("Rate across the line of sight, mean", "deg/s", ".4g")
-    # Turned evenly faster by a, the mean of a star's light over the exposure t is a t^2 / 24 off the middle's
+    # At an angular acceleration a the photocentre over the exposure t is a t^2 / 24 off that of its middle
     acceleration_bias_s2: float = col("Attitude error across per angular acceleration", "s2", ".3g")
     guide_stars: int = col("Guide stars")
-    guide_mean: float = col("Guide stars in the field, mean over the sky", "", ".1f")
-    guide_worst: float = col("Guide stars in the field, worst 1 % of the sky", "", ".1f")
-    covered_percent: float = col("Sky with enough guide stars", "percent", ".2f")
-    star_error_arcsec: float = col("Error of a guide star without noise, median", "arcsec", ".3g")
+    guide_stars_mean: float = col("Guide stars in the field, mean over the sky", "", ".1f")
+    guide_stars_worst: float = col("Guide stars in the field, worst 1 % of the sky", "", ".1f")
+    sky_coverage_percent: float = col("Sky with enough guide stars", "percent", ".2f")
+    guide_star_error_arcsec: float = col("Error of a guide star without noise, median", "arcsec", ".3g")
     available_percent: float = col("Availability over the orbit, predicted", "percent", ".1f")
     # None without frames
     solved_percent: Measured | None = col("Fraction of unblinded frames tracked", "percent", default=None)
-    acquired: Measured | None = col("Successful lost-in-space acquisitions", default=None)
-    acquired_least: float | None = col("Acquisition success, lower limit at 90 % confidence", "", ".3f", default=None)
-    acquisition_s: Measured | None = col("Time of an acquisition on this machine", "s", default=None)
+    acquired_fraction: Measured | None = col("Successful lost-in-space acquisitions", default=None)
+    acquired_lower_limit: float | None = col(
+        "Acquisition success, lower limit at 90 % confidence", "", ".3f", default=None
+    )
+    acquisition_time_s: Measured | None = col("Time of an acquisition on this machine", "s", default=None)
     wrong_attitudes: int | None = col("Wrong attitudes", default=None)
     rejected_per_frame: float | None = col("Windows rejected per frame", "", ".3g", default=None)
     false_stars_per_frame: float | None = col("Planets and cosmic rays per frame, truth", "", ".3g", default=None)
 
 
-def mission(budget: Budget, history: Sequence[Moment], frames: Sequence[Segment]) -> Mission:
-    """Sensor and mission in numbers."""
+def mission(budget: Budget, history: Sequence[OrbitSample], segments: Sequence[Segment]) -> Mission:
+    """Numbers of the mission."""
     config, flight, state = budget.config, budget.flight, budget.nominal.state
-    counts = sky_coverage(budget.guides, budget.model, attitudes=COVERAGE, margin_px=config.window_px // 2 + 1.0)
-    rates = [trail_of_rate(flight.trajectory.rate(moment.time_min * 60.0))[0] for moment in history]
+    counts = sky_coverage(
+        budget.guides, budget.model, attitudes=COVERAGE_ATTITUDES, margin_px=config.window_px // 2 + 1.0
+    )
+    rates = [trail_of_rate(flight.trajectory.rate(sample.time_min * 60.0))[0] for sample in history]
     lens, chip = state.sensor.camera.lens.name, budget.nominal.detector.name
     return Mission(
         name=config.name or f"{lens} on {chip}",
@@ -79,37 +83,37 @@ def mission(budget: Budget, history: Sequence[Moment], frames: Sequence[Segment]
         rate_deg_per_s=float(np.mean(rates)),
         acceleration_bias_s2=config.instrument.exposure_s**2 / 24.0,
         guide_stars=len(budget.guides),
-        guide_mean=float(counts.mean()),
-        guide_worst=float(np.quantile(counts, 0.01)),
-        covered_percent=100.0 * float((counts >= config.tracker.fewest).mean()),
-        star_error_arcsec=float(np.median(budget.star_error_px)) * state.pixel_arcsec,
-        available_percent=100.0 * float(np.mean([moment.available for moment in history])),
-        **_measured_mission([segment for segment in frames if not segment.blinded]),
+        guide_stars_mean=float(counts.mean()),
+        guide_stars_worst=float(np.quantile(counts, 0.01)),
+        sky_coverage_percent=100.0 * float((counts >= config.tracker.fewest).mean()),
+        guide_star_error_arcsec=float(np.median(budget.star_error_px)) * state.pixel_arcsec,
+        available_percent=100.0 * float(np.mean([sample.available for sample in history])),
+        **_measured_mission([segment for segment in segments if not segment.blinded]),
     )
 
 
-def _measured_mission(lit: Sequence[Segment]) -> dict[str, Any]:
+def _measured_mission(unblinded: Sequence[Segment]) -> dict[str, Any]:
     """Numbers of rendered segments that no body blinds."""
-    if not lit:
+    if not unblinded:
         return {}
 
-    def fraction(values: FloatArray, whole: float = 1.0, unit: str = "") -> Measured:
+    def fraction(values: FloatArray, scale: float = 1.0, unit: str = "") -> Measured:
         p = float(np.mean(values))
-        error = whole * math.sqrt(p * (1.0 - p) / len(values))
-        return Measured(value=whole * p, unit=unit, uncertainty=error, n=len(values))
+        error = scale * math.sqrt(p * (1.0 - p) / len(values))
+        return Measured(value=scale * p, unit=unit, uncertainty=error, n=len(values))
 
     def per_frame(name: str) -> float:
-        return float(np.concatenate([getattr(segment, name) for segment in lit]).mean())
+        return float(np.concatenate([getattr(segment, name) for segment in unblinded]).mean())
 
-    acquired = np.array([segment.acquired == "ok" for segment in lit])
-    spent = np.array([segment.acquisition_s for segment in lit])
-    error = float(spent.std() / math.sqrt(len(spent)))
+    acquired = np.array([segment.acquired == "ok" for segment in unblinded])
+    times_s = np.array([segment.acquisition_s for segment in unblinded])
+    error = float(times_s.std() / math.sqrt(len(times_s)))
     return {
-        "solved_percent": fraction(np.concatenate([segment.solved for segment in lit]), 100.0, "percent"),
-        "acquired": fraction(acquired),
-        "acquired_least": success_limit(int(acquired.sum()), len(acquired), CONFIDENCE),
-        "acquisition_s": Measured(value=float(spent.mean()), unit="s", uncertainty=error, n=len(spent)),
-        "wrong_attitudes": sum(segment.wrong for segment in lit),
+        "solved_percent": fraction(np.concatenate([segment.solved for segment in unblinded]), 100.0, "percent"),
+        "acquired_fraction": fraction(acquired),
+        "acquired_lower_limit": success_limit(int(acquired.sum()), len(acquired), CONFIDENCE),
+        "acquisition_time_s": Measured(value=float(times_s.mean()), unit="s", uncertainty=error, n=len(times_s)),
+        "wrong_attitudes": sum(segment.wrong for segment in unblinded),
         "rejected_per_frame": per_frame("rejected"),
         "false_stars_per_frame": per_frame("false_stars"),
     }
@@ -119,8 +123,8 @@ def _measured_mission(lit: Sequence[Segment]) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Moment:
-    """One time of the orbit, by prediction."""
+class OrbitSample:
+    """Prediction at a time of the orbit."""
 
     time_min: float = col("Time", "min", ".1f")
     mean_k: float = col("Lens above its calibration", "K", ".2f")
@@ -135,13 +139,13 @@ class Moment:
     available: bool  # Whether there is an attitude
 
 
-def moments(budget: Budget, progress: Progress) -> list[Moment]:
-    """The orbit, evenly sampled."""
+def orbit_samples(budget: Budget, progress: Progress) -> list[OrbitSample]:
+    """Prediction at even times over the orbit."""
     flight, rows = budget.flight, []
-    for time_s in progress.track(np.linspace(0.0, flight.period_s, HISTORY).tolist(), "prediction"):
+    for time_s in progress.track(np.linspace(0.0, flight.period_s, ORBIT_SAMPLES).tolist(), "prediction"):
         errors, angles = budget.errors(time_s), flight.angles_deg(time_s)
         rows.append(
-            Moment(
+            OrbitSample(
                 time_min=time_s / 60.0,
                 mean_k=float(flight.thermal.at(time_s)[0]),
                 background_e_per_s=float(flight.background_e_per_s(time_s)),
@@ -157,10 +161,10 @@ def moments(budget: Budget, progress: Progress) -> list[Moment]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Part:
-    """One rendered segment; errors are means over its frames."""
+class SegmentErrors:
+    """Rendered segment: errors, means over its frames, and their prediction."""
 
-    part_min: float = col("Time", "min", ".1f")
+    time_min: float = col("Time", "min", ".1f")
     stars: float = col("Stars used", "", ".1f")
     error_arcsec: FloatArray = col("Attitude error", "arcsec", ".4f", "axis")
     thermo_elastic_arcsec: Sequence[Measured] = col("Thermo-elastic error", "arcsec", dims="axis")
@@ -170,28 +174,28 @@ class Part:
     status: str = col("First frame")
 
 
-def parts(segments: Sequence[Segment], errors: Sequence[AttitudeErrors]) -> list[Part]:
-    """Segments and their prediction."""
+def segment_errors(segments: Sequence[Segment], errors: Sequence[AttitudeErrors]) -> list[SegmentErrors]:
+    """Errors of all segments."""
 
-    def switched(values: FloatArray) -> list[Measured]:
-        known = values[np.isfinite(values).all(axis=1)]
-        if not len(known):
+    def mean(values: FloatArray) -> list[Measured]:
+        solved = values[np.isfinite(values).all(axis=1)]
+        if not len(solved):
             return [Measured(value=math.nan, uncertainty=math.nan)] * 3
-        error = known.std(axis=0, ddof=1) / math.sqrt(len(known)) if len(known) > 1 else np.full(3, np.nan)
-        return list(measured(known.mean(axis=0), error, len(known), "arcsec"))
+        error = solved.std(axis=0, ddof=1) / math.sqrt(len(solved)) if len(solved) > 1 else np.full(3, np.nan)
+        return list(measured(solved.mean(axis=0), error, len(solved), "arcsec"))
 
     rows = []
-    for segment, told in zip(segments, errors, strict=True):
+    for segment, predicted in zip(segments, errors, strict=True):
         solved = segment.solved
         rows.append(
-            Part(
-                part_min=segment.start_s / 60.0,
+            SegmentErrors(
+                time_min=segment.start_s / 60.0,
                 stars=float(segment.stars[solved].mean()) if solved.any() else 0.0,
                 error_arcsec=segment.error_arcsec[:, solved].mean(axis=(0, 1)) if solved.any() else np.full(3, np.nan),
-                thermo_elastic_arcsec=switched(segment.thermal_arcsec),
-                predicted_thermo_elastic_arcsec=told.thermal_arcsec,
-                aberration_arcsec=switched(segment.aberration_arcsec),
-                predicted_aberration_arcsec=told.aberration_arcsec,
+                thermo_elastic_arcsec=mean(segment.thermal_arcsec),
+                predicted_thermo_elastic_arcsec=predicted.thermal_arcsec,
+                aberration_arcsec=mean(segment.aberration_arcsec),
+                predicted_aberration_arcsec=predicted.aberration_arcsec,
                 status=segment.acquired.replace("_", " "),
             )
         )
@@ -221,21 +225,21 @@ METRICS = (
 
 def metrics(terms: Sequence[AttitudeTerm], segments: Sequence[Segment]) -> list[Metric]:
     """Metrics at `LEVEL`, across about one axis, mixed interpretation: over the sampled orbit."""
-    squares = {one.term: np.square(one.predicted_arcsec) for one in terms}
+    squares = {term.term: np.square(term.predicted_arcsec) for term in terms}
     values: list[dict[str, float]] = []
     if any(segment.solved.any() for segment in segments):
         # (segments, frames, 3) Of the first readout
-        error = np.array([np.where(part.solved[:, None], part.error_arcsec[0], np.nan) for part in segments])
+        error = np.array([np.where(segment.solved[:, None], segment.error_arcsec[0], np.nan) for segment in segments])
         series = error.reshape(-1, 3).T
-        values = [ecss_metrics(series[list(pick)], error.shape[1], LEVEL) for _, pick in COMPONENTS]
+        values = [ecss_metrics(series[list(component_axes)], error.shape[1], LEVEL) for _, component_axes in COMPONENTS]
     return [
         Metric(
             metric=name,
             meaning=meaning,
-            predicted_arcsec=normal_factor(LEVEL) * np.sqrt(np.sum([squares[term] for term in of], axis=0)),
+            predicted_arcsec=normal_factor(LEVEL) * np.sqrt(np.sum([squares[term] for term in contributors], axis=0)),
             measured_arcsec=[component[name] for component in values] or None,
         )
-        for name, meaning, of in METRICS
+        for name, meaning, contributors in METRICS
     ]
 
 
@@ -243,8 +247,8 @@ def metrics(terms: Sequence[AttitudeTerm], segments: Sequence[Segment]) -> list[
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Age:
-    """The sensor new, and at the end of its life, by prediction."""
+class AgePrediction:
+    """Prediction at begin or end of life."""
 
     age: str = col("Life")
     limiting_magnitude_mag: float = col("Limiting magnitude, half detected", "mag", ".2f")
@@ -256,20 +260,20 @@ class Age:
     total_arcsec: FloatArray = col("Total", "arcsec", ".4g", "component")
 
 
-def age(budget: Budget, errors: Sequence[AttitudeErrors]) -> Age:
-    """Predicted numbers of one life."""
-    terms = {one.term: one.predicted_arcsec for one in predicted_terms(budget, errors)}
-    nothing = np.full(len(COMPONENTS), np.nan)
-    light = float(budget.nominal.electrons(np.array([6.0]), budget.config.star_temperature_k)[0])
-    return Age(
+def age_prediction(budget: Budget, errors: Sequence[AttitudeErrors]) -> AgePrediction:
+    """Prediction of a budget at its age."""
+    terms = {term.term: term.predicted_arcsec for term in predicted_terms(budget, errors)}
+    no_attitude = np.full(len(COMPONENTS), np.nan)
+    electrons = float(budget.nominal.electrons(np.array([6.0]), budget.config.star_temperature_k)[0])
+    return AgePrediction(
         age="end" if budget.old else "begin",
         limiting_magnitude_mag=budget.nominal.limits_mag[0.5],
-        electrons_e=light,
+        electrons_e=electrons,
         dark_e=budget.nominal.pixel.dark_e,
-        stars=float(np.mean([one.stars for one in errors])),
-        available_percent=100.0 * float(np.mean([one.available for one in errors])),
-        noise_arcsec=terms.get("temporal_noise", nothing),
-        total_arcsec=terms.get("total", nothing),
+        stars=float(np.mean([error.stars for error in errors])),
+        available_percent=100.0 * float(np.mean([error.available for error in errors])),
+        noise_arcsec=terms.get("temporal_noise", no_attitude),
+        total_arcsec=terms.get("total", no_attitude),
     )
 
 
@@ -277,52 +281,54 @@ def age(budget: Budget, errors: Sequence[AttitudeErrors]) -> Age:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Turning:
-    """The attitude of the segments' stars while the body turns faster, by prediction."""
+class RatePrediction:
+    """Prediction for the stars of the segments at a slew rate."""
 
     rate_deg_per_s: float = col("Rate", "deg/s", "g")
     trail_px: float = col("Trail of a star", "px", ".2f")
     noise_arcsec: FloatArray = col("Temporal noise", "arcsec", ".4g", "component")
-    pixel_arcsec: FloatArray = col("Pixel spatial error", "arcsec", ".4g", "component")
+    pixel_spatial_arcsec: FloatArray = col("Pixel spatial error", "arcsec", ".4g", "component")
 
 
 def _by_component(squares: Sequence[FloatArray]) -> FloatArray:
-    """Root mean square by component over n errors about x, y and roll (3,), of their squares; NaN of none."""
+    """RMS by component from n squared errors about x, y and roll (3,); NaN where n = 0."""
     values = np.array(squares).reshape(-1, 3) if len(squares) else np.full((1, 3), np.nan)
     return np.sqrt([values[:, list(axes)].mean() for _, axes in COMPONENTS])
 
 
-def turning(budget: Budget) -> list[Turning]:
-    """Every rate of the configuration; NaN where the trail is too long for the window."""
+def rate_predictions(budget: Budget) -> list[RatePrediction]:
+    """Predictions at the configured rates; NaN where the trail is too long for the window."""
     flight, rows = budget.flight, []
     for rate in budget.config.rates_deg_per_s:
-        turn = rate_of_trail(rate, 0.0)
+        rate_rad_per_s = rate_of_trail(rate, 0.0)
         try:
-            every = [budget.errors_of(flight.trajectory.attitude(time), turn, time) for time in flight.segments_s]
-        except DomainError:  # the camera's prediction says how long a window would have to be
-            every = []
-        available = [errors for errors in every if errors.available]
+            predictions = [
+                budget.errors_of(flight.trajectory.attitude(time), rate_rad_per_s, time) for time in flight.segments_s
+            ]
+        except DomainError:  # the window is too small for the trail
+            predictions = []
+        available = [errors for errors in predictions if errors.available]
         rows.append(
-            Turning(
+            RatePrediction(
                 rate_deg_per_s=rate,
                 trail_px=float(np.radians(rate)) * budget.config.instrument.exposure_s / budget.pixel_rad,
                 noise_arcsec=_by_component([errors.noise_arcsec2 for errors in available]),
-                pixel_arcsec=_by_component([errors.static_arcsec2 for errors in available]),
+                pixel_spatial_arcsec=_by_component([errors.static_arcsec2 for errors in available]),
             )
         )
     return rows
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Kelvin:
-    """Attitude error per kelvin of a state of the temperature field, RMS over the segments."""
+class StateSensitivity:
+    """Attitude error per kelvin of a component of the temperature field, RMS over the segments."""
 
     state: str = col("Temperature")
-    attitude_arcsec: FloatArray = col("Attitude error per kelvin", "arcsec", ".4g", "component")
-    corner_px: float = col("Shift of a star in the corner per kelvin", "px", ".4f")
+    attitude_arcsec_per_k: FloatArray = col("Attitude error per kelvin", "arcsec", ".4g", "component")
+    corner_px_per_k: float = col("Shift of a star in the corner per kelvin", "px", ".4f")
 
 
-STATE_WORDS = {
+STATE_LABELS = {
     "mean_k": "uniform",
     "axial_k": "front to detector",
     "transverse_x_k": "across, along columns",
@@ -331,22 +337,24 @@ STATE_WORDS = {
 }
 
 
-def per_kelvin(budget: Budget) -> list[Kelvin]:
-    """Sensitivities of the states that the flight has."""
+def state_sensitivities(budget: Budget) -> list[StateSensitivity]:
+    """Sensitivities to the thermal states that occur in the flight."""
     corner, rows = budget.model.unproject(np.array([[-0.5, -0.5]])), []
     for name, shift in budget.sensitivity.items():
         state = ThermalState(**{name: 1.0}).vector
         errors = [budget.errors(float(start), state_k=state) for start in budget.flight.segments_s]
         rms = _by_component([error.thermal_arcsec**2 for error in errors if error.available])
-        moved = math.hypot(*shift.at(corner)[0])
-        rows.append(Kelvin(state=STATE_WORDS[name], attitude_arcsec=rms, corner_px=moved))
+        corner_shift_px = math.hypot(*shift.at(corner)[0])
+        rows.append(
+            StateSensitivity(state=STATE_LABELS[name], attitude_arcsec_per_k=rms, corner_px_per_k=corner_shift_px)
+        )
     return rows
 
 
 # --- The run
 
 
-def axes(config: Config) -> Quantities:
+def axes(config: FlightConfig) -> Quantities:
     """Dimensions that all sections share."""
     q = Quantities()
     q.axis("component", [name for name, _ in COMPONENTS], "Component")
@@ -360,26 +368,26 @@ def _term_axis(q: Quantities, terms: Sequence[AttitudeTerm]) -> None:
 
 
 def at_segments(budget: Budget, flight: Flight) -> list[AttitudeErrors]:
-    """Prediction in the middles of the segments."""
+    """Prediction in the middle of each segment."""
     pairs = zip(flight.segments_s, flight.states_k, strict=True)
     return [budget.errors(float(flight.frame_times_s(start).mean()), state_k=state) for start, state in pairs]
 
 
-def run(config: Config, *, progress: Progress) -> dict[str, Any]:
-    """Predict, fly, split.
+def run(config: FlightConfig, *, progress: Progress) -> dict[str, Any]:
+    """Budget, orbit, rendered segments and the terms of their errors.
 
     Raises
     ------
     StarbenchError
-        Anything that the user can mend: tables, orbits, lenses without thermal data, sensors without stars.
+        For unusable tables, orbits, lenses without thermal data, sensors without stars.
     """
     flight = build_flight(config)
     with progress.stage("budget"):
-        lives = [build_budget(config, flight, old=old) for old in (False, True)[: 1 + (config.life.years > 0)]]
-    budget = lives[config.frames.end_of_life]
-    history = moments(budget, progress)
-    told = [at_segments(one, flight) for one in lives]
-    errors = told[config.frames.end_of_life]
+        budgets = [build_budget(config, flight, old=old) for old in (False, True)[: 1 + (config.life.years > 0)]]
+    budget = budgets[config.frames.end_of_life]
+    history = orbit_samples(budget, progress)
+    errors_by_age = [at_segments(aged, flight) for aged in budgets]
+    errors = errors_by_age[config.frames.end_of_life]
     segments: list[Segment] = []
     if not config.predict_only:
         with progress.stage("frames", total=config.frames.segments * config.frames.frames) as stage:
@@ -390,10 +398,10 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
         "terms": terms or None,
         "metrics": metrics(terms, segments) if terms else None,
         "history": history,
-        "parts": parts(segments, errors) if segments else None,
-        "rates": turning(budget) or None,
-        "kelvin": per_kelvin(budget) or None,
-        "lives": [age(one, found) for one, found in zip(lives, told, strict=True)],
+        "segments": segment_errors(segments, errors) if segments else None,
+        "rates": rate_predictions(budget) or None,
+        "thermal_sensitivity": state_sensitivities(budget) or None,
+        "ageing": [age_prediction(*pair) for pair in zip(budgets, errors_by_age, strict=True)],
     }
 
 
@@ -431,7 +439,7 @@ SECTIONS = {
         note="Predicted for a normal error; measured: quantile of all frames, or of all segments.",
     ),
     "history": Section(
-        record=Moment,
+        record=OrbitSample,
         dim="moment",
         along="time_min",
         table="history",
@@ -441,18 +449,18 @@ SECTIONS = {
             "temperature": curves("moment", lines="mean_k"),
         },
     ),
-    "parts": Section(
-        record=Part,
-        dim="part",
-        along="part_min",
-        table="parts",
-        rows="part",
+    "segments": Section(
+        record=SegmentErrors,
+        dim="segment",
+        along="time_min",
+        table="segments",
+        rows="segment",
         columns="stars status thermo_elastic_arcsec aberration_arcsec error_arcsec",
         across="axis",
         caption="Rendered segments.",
         figures={
             name: curves(
-                "part",
+                "segment",
                 points=f"{name}_arcsec",
                 lines=f"predicted_{name}_arcsec",
                 panels="axis",
@@ -461,17 +469,17 @@ SECTIONS = {
             for name in ("thermo_elastic", "aberration")
         },
     ),
-    "lives": Section(
-        record=Age,
+    "ageing": Section(
+        record=AgePrediction,
         dim="life",
-        table="lives",
+        table="ageing",
         rows="life",
         hidden="life",
         across="component",
         caption="Predicted performance at begin and end of life.",
     ),
     "rates": Section(
-        record=Turning,
+        record=RatePrediction,
         dim="rate",
         along="rate_deg_per_s",
         table="rates",
@@ -479,10 +487,10 @@ SECTIONS = {
         caption="Prediction for the same stars while the body turns across the line of sight.",
         note="No number: the trail is too long for the window.",
     ),
-    "kelvin": Section(
-        record=Kelvin,
+    "thermal_sensitivity": Section(
+        record=StateSensitivity,
         dim="state_row",
-        table="per_kelvin",
+        table="thermal_sensitivity",
         rows="state_row",
         hidden="state_row",
         across="component",

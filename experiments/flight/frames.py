@@ -1,10 +1,10 @@
-"""Rendered segments of the orbit, the tracker's attitudes, and the split of each error by switching causes.
+"""Rendered segments of the orbit, the attitudes of the tracker, and the separation of their errors.
 
-Every frame is rendered with the lens at its temperatures and read out twice, with independent noise. With errors a and
-b of both attitudes, (a - b)^2 / 2 is temporal noise and a b everything else, both without bias. A few frames of every
-segment are rendered again through the lens as calibrated, with the same noise: the difference is the thermo-elastic
-error. They are solved again with the true velocity: the difference is the residual aberration. The rest of the mean of
-a segment is spatial error of the field and the constant bias.
+Every frame is rendered with the lens at its temperatures and read out twice, with independent noise. With the errors a
+and b of the two attitudes, (a - b)^2 / 2 and a b estimate without bias the variance of the temporal noise and the
+square of all other terms. For some frames of every segment two causes are switched off: rendered through the lens as
+calibrated with the same noise, the difference is the thermo-elastic error; solved with the true velocity, it is the
+residual aberration. The remaining mean of a segment is FOV spatial error and the constant bias.
 """
 
 from __future__ import annotations
@@ -38,32 +38,32 @@ from render.sensor_file.instrument import build_instrument, configured_detector,
 from render.simulator import SkySimulator
 
 MARGIN_PX = 32.0
-"""Strip around the detector whose stars are rendered: their light may reach it."""
+"""Margin about the detector within which stars are rendered: their light may reach it."""
 PLANETS = tuple(name for name in BODIES if name != "moon")
-BLENDED = 4
-"""Steps between rendered PSFs of the tracker; those between are blended."""
-ROUGH_PX = 3.0
-"""Error of an attitude that is handed over, about each axis."""
-OBLONG = 1.5
-"""A longer field needs star patterns down to its shorter side."""
+PSF_REFINEMENT = 4
+"""Interpolated steps between rendered PSFs of the tracker."""
+HANDED_OVER_PX = 3.0
+"""Standard deviation per axis of an attitude that another sensor head hands over."""
+OBLONG_RATIO = 1.5
+"""Aspect ratio of the field from which star patterns are built down to its shorter side."""
 STILL_PX = 0.02
-"""Turns by less in an exposure are rendered at rest."""
+"""Smaller rotations within an exposure are rendered at rest."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Segment:
-    """Frames of one part of the orbit; errors about x, y and roll [arcsec], NaN where there is no attitude."""
+    """Frames of a part of the orbit; errors about x, y and roll [arcsec], NaN without an attitude."""
 
     start_s: float
     blinded: bool  # A body within its exclusion angle: nothing is rendered
-    error_arcsec: FloatArray  # (2, n, 3) Of both readouts
-    stars: FloatArray  # (n,) Used
+    error_arcsec: FloatArray  # (2, n, 3) Both readouts
+    stars: FloatArray  # (n,) Used by the attitude
     rejected: FloatArray  # (n,)
     false_stars: FloatArray  # (n,) Planets and cosmic rays in the frame: truth
-    thermal_arcsec: FloatArray  # (s, 3) By switching the temperatures
-    aberration_arcsec: FloatArray  # (s, 3) By switching the knowledge of the velocity
+    thermal_arcsec: FloatArray  # (s, 3) Difference to the lens as calibrated
+    aberration_arcsec: FloatArray  # (s, 3) Difference to the true velocity
     acquired: str  # Status of the first frame, searched lost in space
-    acquisition_s: float  # Time that it took on this machine
+    acquisition_s: float  # On this machine
     wrong: int  # Attitudes beyond the stated limit
 
     def __post_init__(self) -> None:
@@ -110,14 +110,14 @@ class FlightCamera:
         )
 
     def expected(self, time_s: float, state_k: FloatArray) -> SkyLight:
-        """Light of an exposure about a time, through the lens in a state."""
-        path, exposure = self.flight.trajectory, self.config.instrument.exposure_s
+        """Expected image of an exposure about a time, through the lens in a thermal state."""
+        trajectory, exposure = self.flight.trajectory, self.config.instrument.exposure_s
         start = time_s - 0.5 * exposure
-        during = path.attitude(start + exposure * np.array([0.0, 0.5, 1.0]))
-        turn_rad = 2.0 * (during[1:] * during[:-1].inv()).magnitude().max()
-        pointing: dict[str, Any] = {"attitude": path.attitude(time_s)}
-        if turn_rad > STILL_PX * self.budget.pixel_rad or self.config.jitter.rms_arcsec:
-            pointing = {"attitude": path, "start_s": start}
+        during = trajectory.attitude(start + exposure * np.array([0.0, 0.5, 1.0]))
+        rotation_rad = 2.0 * (during[1:] * during[:-1].inv()).magnitude().max()
+        pointing: dict[str, Any] = {"attitude": trajectory.attitude(time_s)}
+        if rotation_rad > STILL_PX * self.budget.pixel_rad or self.config.jitter.rms_arcsec:
+            pointing = {"attitude": trajectory, "start_s": start}
         return self.simulator.expected(
             **pointing,
             velocity_km_per_s=self.flight.velocity_km_per_s(time_s),
@@ -125,7 +125,7 @@ class FlightCamera:
         )
 
     def read(self, light: SkyLight, time_s: float, number: int, label: str) -> Frame:
-        """One readout; the same number and label: the same noise."""
+        """A readout; number and label determine its noise."""
         background = float(self.flight.background_e_per_s(time_s))
         return self.simulator.read(light, frame=number, label=label, background_e_per_s=background)
 
@@ -140,7 +140,7 @@ class FlightCamera:
 
 
 def psf_grid(budget: Budget) -> PsfGrid | None:
-    """PSFs that the tracker was calibrated with, for a centroider that needs them."""
+    """Calibrated PSFs of the tracker; None for a centroider that needs none."""
     config = budget.config
     if not needs_epsf(config.centroid):
         return None
@@ -155,11 +155,11 @@ def psf_grid(budget: Budget) -> PsfGrid | None:
         axes=inset_axes(budget.instrument.camera, config.frames.psf_grid),
         tracer=psf_tracer(budget.instrument, by_grid=True),
     )
-    return refined(coarse, BLENDED)
+    return refined(coarse, PSF_REFINEMENT)
 
 
 def build_tracker(camera: FlightCamera) -> StarTracker:
-    """The tracker as it was calibrated on ground: camera model, PSFs, mean dark frame, guide stars."""
+    """The tracker with its ground calibration: camera model, PSFs, mean dark frame, guide stars."""
     budget = camera.budget
     config, processing, grid = budget.config, budget.nominal.processing, psf_grid(budget)
     return StarTracker(
@@ -184,10 +184,12 @@ def build_tracker(camera: FlightCamera) -> StarTracker:
 
 def _patterns(budget: Budget) -> Any:
     """Star patterns for an oblong field; None where patterns of a square field serve (`identify_stars`)."""
-    wide, high = (budget.nominal.value(f"field_{side}_deg") for side in ("width", "height"))
-    if max(wide, high) < OBLONG * min(wide, high):
+    width_deg, height_deg = (budget.nominal.value(f"field_{side}_deg") for side in ("width", "height"))
+    if max(width_deg, height_deg) < OBLONG_RATIO * min(width_deg, height_deg):
         return None
-    return kept_database(min_fov_deg=round(0.94 * min(wide, high), 1), max_fov_deg=round(1.06 * max(wide, high), 1))
+    return kept_database(
+        min_fov_deg=round(0.94 * min(width_deg, height_deg), 1), max_fov_deg=round(1.06 * max(width_deg, height_deg), 1)
+    )
 
 
 def render_flight(budget: Budget, *, advance: Callable[[], None] = lambda: None) -> list[Segment]:
@@ -207,27 +209,26 @@ def _segment(
     errors = np.full((2, count, 3), np.nan)
     stars, rejected, false_stars = np.zeros((3, count))
     thermal, aberration = np.full((2, setting.switched, 3), np.nan)
-    blinded, status, spent, wrong = bool(flight.blinded(start_s)), "blinded", float("nan"), 0
+    blinded, status, acquisition_s, wrong = bool(flight.blinded(start_s)), "blinded", float("nan"), 0
     tracker.reset()
     for k, at_s in enumerate(() if blinded else flight.frame_times_s(start_s)):
         truth, known = flight.trajectory.attitude(at_s), flight.known_velocity_km_per_s(at_s)
         light, key = camera.expected(at_s, state), number * count + k
         frame, false_stars[k] = camera.read(light, at_s, key, "first"), camera.false_stars(light, key, "first")
-        began = time.perf_counter()
+        start = time.perf_counter()
         first = tracker(frame, at_s, velocity_km_per_s=known, rate_rad_per_s=flight.trajectory.rate(at_s))
         if k == 0:
-            status, spent = first.status, time.perf_counter() - began
-            if not first.ok:  # lost in space it stays lost here: another head hands its attitude over
-                rough_rad = ROUGH_PX * camera.budget.pixel_rad
-                error = rough_rad * camera.streams.generator("rough", number).standard_normal(3)
+            status, acquisition_s = first.status, time.perf_counter() - start
+            if not first.ok:  # another sensor head hands its attitude over
+                sigma_rad = HANDED_OVER_PX * camera.budget.pixel_rad
+                error = sigma_rad * camera.streams.generator("rough", number).standard_normal(3)
                 rough = Rotation.from_rotvec(error) * truth
                 tracker.begin(at_s, rough)
                 first = tracker(frame, at_s, velocity_km_per_s=known, near=rough)
-        again, near = camera.read(light, at_s, key, "second"), first.attitude or truth
-        second = tracker(again, at_s, velocity_km_per_s=known, near=near)
+        second_frame, near = camera.read(light, at_s, key, "second"), first.attitude or truth
+        second = tracker(second_frame, at_s, velocity_km_per_s=known, near=near)
         for n, reading in enumerate((first, second)):
             if reading.attitude is not None:
-                # the alignment turns what the tracker says against the body that it is asked for
                 errors[n, k] = attitude_error_arcsec(aligned * reading.attitude, truth)
         if first.ok:
             stars[k], rejected[k] = len(first.star_id), first.rejected
@@ -246,7 +247,7 @@ def _segment(
         thermal_arcsec=thermal,
         aberration_arcsec=aberration,
         acquired=status,
-        acquisition_s=spent,
+        acquisition_s=acquisition_s,
         wrong=wrong,
     )
 
@@ -254,16 +255,16 @@ def _segment(
 def _switched(
     camera: FlightCamera, tracker: StarTracker, first: TrackedAttitude, frame: Frame, at_s: float, key: int
 ) -> list[FloatArray]:
-    """Thermo-elastic error, and aberration that is left: this attitude less the one without, noise as it was."""
+    """Thermo-elastic error and residual aberration: differences of attitudes with and without, the noise equal."""
     truth, known = camera.flight.trajectory.attitude(at_s), camera.flight.known_velocity_km_per_s(at_s)
-    cold = camera.read(camera.expected(at_s, np.zeros(5)), at_s, key, "first")
-    exact = camera.flight.velocity_km_per_s(at_s)
+    calibrated = camera.read(camera.expected(at_s, np.zeros(5)), at_s, key, "first")
+    true_velocity = camera.flight.velocity_km_per_s(at_s)
     error, *without = (
         np.full(3, np.nan) if reading.attitude is None else attitude_error_arcsec(reading.attitude, truth)
         for reading in (
             tracker(frame, at_s, velocity_km_per_s=known, near=first.attitude),
-            tracker(cold, at_s, velocity_km_per_s=known, near=first.attitude),
-            tracker(frame, at_s, velocity_km_per_s=exact, near=first.attitude),
+            tracker(calibrated, at_s, velocity_km_per_s=known, near=first.attitude),
+            tracker(frame, at_s, velocity_km_per_s=true_velocity, near=first.attitude),
         )
     )
     return [error - other for other in without]

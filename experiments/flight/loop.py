@@ -1,8 +1,7 @@
-"""The sensor as a function for control loops: attitude, rate and time in; quaternion and covariance out.
+"""The sensor as a function for control loops: attitude, rate and time in; measured attitude and covariance out.
 
-By frames (`by_frames`): each call renders the exposure, reads it out, and the tracker solves it. By budget
-(`by_budget`): each call draws an error with the budget's predicted covariance, thousands of times per second. Both
-return the same record, with the given truth.
+`by_frames` renders and reads out every exposure, and the tracker solves it. `by_budget` draws an error with the
+predicted covariance of the budget, thousands of times per second. Both return the same record.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from calib.attitude.tracker import TrackedAttitude
 from experiments.flight.frames import FlightCamera, build_tracker
 from experiments.flight.prediction import Budget, build_budget
 from experiments.flight.scenario import build_flight
-from experiments.flight.settings import Config
+from experiments.flight.settings import FlightConfig
 from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD
 from render.engine.random import Streams
@@ -28,12 +27,11 @@ from render.motion.trajectory import rate_of_trail, trail_of_rate
 Sensor = Callable[[Rotation, ArrayLike, float], TrackedAttitude]
 """``sensor(attitude, rate_rad_per_s, time_s)``: cam from icrs and its rate in cam, in the middle of the exposure."""
 
-FIELD_PART = 0.02
-"""Errors of the stars are looked up again after a turn by this part of the field, or `AGED_S`."""
-AGED_S = 10.0
+REUSE_FIELD_FRACTION, REUSE_S = 0.02, 10.0
+"""Predicted errors are reused for rotations within this fraction of the field, and for this time."""
 
 
-def by_frames(config: Config) -> Sensor:
+def by_frames(config: FlightConfig) -> Sensor:
     """A sensor that renders every exposure, with the lens as calibrated; times have to increase from call to call.
 
     The attitude law of the configuration is not used. `StarbenchError` as of
@@ -49,34 +47,33 @@ def by_frames(config: Config) -> Sensor:
         velocity = flight.velocity_km_per_s(time_s)
         light = camera.simulator.expected(attitude, velocity_km_per_s=velocity, **exposure)
         frame = camera.read(light, time_s, next(calls), "loop")
-        known = flight.known_velocity_km_per_s(time_s)
-        found = tracker(frame, time_s, velocity_km_per_s=known, rate_rad_per_s=rate)
-        return found if found.attitude is None else replace(found, attitude=aligned * found.attitude)
+        tracker_velocity = flight.known_velocity_km_per_s(time_s)
+        reading = tracker(frame, time_s, velocity_km_per_s=tracker_velocity, rate_rad_per_s=rate)
+        return reading if reading.attitude is None else replace(reading, attitude=aligned * reading.attitude)
 
     return sensor
 
 
-def by_budget(config: Config, *, budget: Budget | None = None) -> Sensor:
-    """A sensor that errs as the budget predicts: independent temporal noise in every call, errors of the stars
-    unchanged.
+def by_budget(config: FlightConfig, *, budget: Budget | None = None) -> Sensor:
+    """A sensor with the predicted errors: temporal noise drawn in every call, the errors of the stars constant.
 
-    ``budget``: of this configuration, where there is one already. Without stars enough, or blinded, the status of the
-    answer says so; errors as of `by_frames`.
+    ``budget``: that of the configuration, if it is at hand. The status of a reading states too few stars or a blinding
+    body. Raises as `by_frames`.
     """
-    known = budget or build_budget(config, build_flight(config))
+    predicted = budget or build_budget(config, build_flight(config))
     rng = Streams(config.seed).generator("loop")
-    bias = ARCSEC_RAD * known.bias_arcsec()
-    reach = FIELD_PART * 2.0 * float(np.arccos(known.model.unproject(np.array([[-0.5, -0.5]]))[0, 2]))
-    kept: list[tuple[Rotation, float, TrackedAttitude, FloatArray, FloatArray]] = []  # the last look
+    bias = ARCSEC_RAD * predicted.bias_arcsec()
+    reuse_rad = REUSE_FIELD_FRACTION * 2.0 * float(np.arccos(predicted.model.unproject(np.array([[-0.5, -0.5]]))[0, 2]))
+    last: list[tuple[Rotation, float, TrackedAttitude, FloatArray, FloatArray]] = []  # last predicted errors
 
-    def coarse(rate: FloatArray) -> FloatArray:
-        """Rate whose trail is a whole number of pixels, in steps of 45 deg: each other one costs a second."""
-        step_deg = np.degrees(known.pixel_rad) / config.instrument.exposure_s
-        size_deg, towards = trail_of_rate(rate)
-        return rate_of_trail(step_deg * round(size_deg / step_deg), 45.0 * round(towards / 45.0))
+    def rounded(rate: FloatArray) -> FloatArray:
+        """Rate rounded to whole pixels of trail and 45 deg: a new prediction takes a second."""
+        step_deg = np.degrees(predicted.pixel_rad) / config.instrument.exposure_s
+        size_deg, direction_deg = trail_of_rate(rate)
+        return rate_of_trail(step_deg * round(size_deg / step_deg), 45.0 * round(direction_deg / 45.0))
 
-    def look_up(attitude: Rotation, rate: FloatArray, time_s: float) -> None:
-        errors = known.errors_of(attitude, coarse(rate), time_s)
+    def predict(attitude: Rotation, rate: FloatArray, time_s: float) -> None:
+        errors = predicted.errors_of(attitude, rounded(rate), time_s)
         covariance, sigma, shift = np.full((3, 3), np.inf), np.zeros(3), np.zeros(3)
         if errors.available:
             covariance = ARCSEC_RAD**2 * np.diag(errors.noise_arcsec2 + errors.static_arcsec2)
@@ -89,12 +86,12 @@ def by_budget(config: Config, *, budget: Budget | None = None) -> Sensor:
             covariance_rad2=covariance,
             expected=round(errors.stars),
         )
-        kept[:] = [(attitude, time_s, answer, sigma, shift)]
+        last[:] = [(attitude, time_s, answer, sigma, shift)]
 
     def sensor(attitude: Rotation, rate_rad_per_s: ArrayLike, time_s: float) -> TrackedAttitude:
-        if not kept or abs(time_s - kept[0][1]) > AGED_S or (attitude * kept[0][0].inv()).magnitude() > reach:
-            look_up(attitude, np.asarray(rate_rad_per_s, float), time_s)
-        _, _, answer, sigma, shift = kept[0]
+        if not last or abs(time_s - last[0][1]) > REUSE_S or (attitude * last[0][0].inv()).magnitude() > reuse_rad:
+            predict(attitude, np.asarray(rate_rad_per_s, float), time_s)
+        _, _, answer, sigma, shift = last[0]
         if answer.status != "ok":
             return replace(answer, time_s=time_s)
         reading = Rotation.from_rotvec(shift + sigma * rng.standard_normal(3)) * attitude

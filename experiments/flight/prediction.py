@@ -1,7 +1,7 @@
-"""The error budget in flight without frames: errors of guide stars, and the resulting attitude error.
+"""Error budget of the flight without frames: errors of guide stars, and the resulting attitude error.
 
 A star's errors come from the camera report's prediction (noise, pixel patterns and pixel phase against its electrons)
-and from ray traces (colour, distortion left by the camera model, heated lens); `calib.attitude.attitude_covariance`
+and from ray traces (colour, residual distortion, heated lens); `calib.attitude.attitude_covariance`
 turns them into errors of the attitude.
 """
 
@@ -24,7 +24,7 @@ from calib.cameras.fit import fit_camera
 from calib.measure.centroid_error.prediction import fit_bias
 from calib.measure.centroiding.registry import centroider_class
 from experiments.flight.scenario import Flight
-from experiments.flight.settings import Config
+from experiments.flight.settings import FlightConfig
 from experiments.laboratory.sensor_prediction import CameraPrediction, detector_radii, predict_camera
 from experiments.laboratory.settings.prediction import PredictedSensorConfig, SlewConfig, aged_config
 from optics.arrays import FloatArray
@@ -40,19 +40,19 @@ from render.sensor_file.instrument import build_instrument, configured_lens, hou
 from render.sky.sky import load_sky
 
 STEP_K = {"mean_k": 1.0, "axial_k": 0.5, "transverse_x_k": 0.2, "transverse_y_k": 0.2, "radial_k": 0.5}
-"""Of the differences that sensitivities are made of."""
+"""Steps of the central differences of the thermal sensitivities."""
 SATURATION_MARGIN_MAG = 0.3
-FEW_ATTITUDES = 60
+SKY_ATTITUDES = 60
 AZIMUTH_DEG = 22.5
-"""Where the PSFs of the camera report lie from the middle of the detector."""
+"""Azimuth of the predicted PSFs about the middle of the detector."""
 SMALLEST_K = 0.1
 AT_REST_PX = 0.1
-"""A shorter trail is none."""
+"""Shorter trails are predicted as at rest."""
 BACKGROUND_STEP = 1.02
-"""Predictions are kept for backgrounds this far apart."""
+"""Ratio of the backgrounds of cached predictions."""
 
 
-def heated(config: Config, state_k: FloatArray) -> LensSystem:
+def heated(config: FlightConfig, state_k: FloatArray) -> LensSystem:
     """The configured lens in a state (5,), in the order of `COMPONENTS`.
 
     Raises
@@ -75,9 +75,9 @@ def heated(config: Config, state_k: FloatArray) -> LensSystem:
 
 
 class Budget:
-    """The sensor as it was calibrated, its guide stars, and their errors at any time; made by `build_budget`."""
+    """Calibrated sensor, guide stars, and errors at any time; see `build_budget`."""
 
-    def __init__(self, config: Config, flight: Flight, *, old: bool = False) -> None:
+    def __init__(self, config: FlightConfig, flight: Flight, *, old: bool = False) -> None:
         self.config, self.flight, self.old = config, flight, old
         self.sensor = _sensor(config, old)
         self.nominal: CameraPrediction = self.camera(0.0)
@@ -103,20 +103,19 @@ class Budget:
     def _guides(self) -> GuideCatalogue:
         camera = self.nominal
         limit = camera.value("limiting_magnitude_mag") - 1.5
-        asked = self.config.tracker.faintest_mag
-        faintest = limit if asked is None else asked
+        stated = self.config.tracker.faintest_mag
         return camera.guide_stars(
             self.sky.catalog,
             self.sky.direction,
             brightest_mag=camera.value("saturation_mag") + SATURATION_MARGIN_MAG,
-            faintest_mag=faintest,
+            faintest_mag=limit if stated is None else stated,
             throughput=self.sensor.throughput_fraction / camera.config.throughput_fraction,
         )
 
     # --- The camera's prediction
 
     def camera(self, background_e_per_s: float, rate_rad_per_s: FloatArray | None = None) -> CameraPrediction:
-        """The camera report's prediction under a background, for stars that trail as the rate makes them."""
+        """Prediction of the experiment camera for a background and for the star trails of a rate."""
         rate = np.zeros(3) if rate_rad_per_s is None else rate_rad_per_s
         level = 0.0
         if background_e_per_s > 1.0:
@@ -124,29 +123,29 @@ class Budget:
         return _camera(self.sensor.model_copy(update={"background_e_per_s": level}), *self._trail(rate))
 
     def _trail(self, rate_rad_per_s: FloatArray) -> tuple[float, float]:
-        """Rate and direction that predictions are kept for: stars at rest, or to 2 digits and 5 deg."""
-        turn, towards = trail_of_rate(rate_rad_per_s)
+        """Rate and direction of cached predictions: zero at rest, otherwise rounded to 2 digits and 5 deg."""
+        rate_deg_per_s, direction_deg = trail_of_rate(rate_rad_per_s)
         pixel_rad = self.nominal.state.pixel_arcsec / RAD_ARCSEC if "nominal" in self.__dict__ else np.inf
-        if np.radians(turn) * self.config.instrument.exposure_s < AT_REST_PX * pixel_rad:
+        if np.radians(rate_deg_per_s) * self.config.instrument.exposure_s < AT_REST_PX * pixel_rad:
             return 0.0, 0.0
-        return float(f"{turn:.2g}"), 5.0 * round(towards / 5.0)
+        return float(f"{rate_deg_per_s:.2g}"), 5.0 * round(direction_deg / 5.0)
 
     # --- Thermal and colour maps
 
     @cached_property
     def sensitivity(self) -> Mapping[str, FieldMap]:
-        """Shift [px/K] of stars by every state that the flight has, from traces of the lens a little off."""
-        used = np.abs(self.flight.thermal.values_k).max(axis=0) > 0.0
+        """Shift [px/K] of stars by each thermal state of the flight, by central differences of ray traces."""
+        occurs = np.abs(self.flight.thermal.values_k).max(axis=0) > 0.0
         maps = {}
-        for name, heated_once, unit in zip(COMPONENTS, used, np.eye(len(COMPONENTS)), strict=True):
-            if heated_once:
+        for name, present, unit in zip(COMPONENTS, occurs, np.eye(len(COMPONENTS)), strict=True):
+            if present:
                 step = STEP_K[name]
                 above, below = (self._traced(sign * step * unit) for sign in (1.0, -1.0))
                 maps[name] = fit_field_map(self._map.direction, (above - below) / (2.0 * step))
         return maps
 
     def _traced(self, state_k: FloatArray) -> FloatArray:
-        """Mean places of traced light (n, 2) through the lens in a state, for the directions of the map."""
+        """Photocentres (n, 2) [px] of rays through the lens in a state, for the directions of the map."""
         warm = build_instrument(self.config.instrument, lens=heated(self.config, state_k))
         traced = warm.pixel_map(self.nominal.state.band, temperature_k=self.config.star_temperature_k)
         if traced.direction.shape != self._map.direction.shape:
@@ -158,69 +157,73 @@ class Budget:
     @cached_property
     def _colour_bias(self) -> tuple[FloatArray, FloatArray]:
         """Bias of a fit of the calibrated PSF to stars of 3500 and 10 000 K: radial mean (2, f), RMS over phases."""
-        state = self.usual.state
+        state = self.tracked.state
         return self._fit_bias(state.cold_psfs, state.hot_psfs)
 
     @cached_property
     def _heat_bias(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """The same through the coldest and the hottest lens of the flight [K]: its focus has moved."""
+        """Temperatures [K] of the coldest and hottest lens; bias of a fit of the calibrated PSF by their defocus."""
         span = self.flight.thermal.values_k[:, 0]
         ends = np.array([min(span.min(), -SMALLEST_K), max(span.max(), SMALLEST_K)])
         if not span.any():
-            nothing = np.zeros((2, len(self.nominal.state.radius_px)))
-            return ends, nothing, nothing
+            zero = np.zeros((2, len(self.nominal.state.radius_px)))
+            return ends, zero, zero
         at_c = configured_lens(self.config.instrument).environment.temperature_c
         psfs = []
         for kelvin in ends:
             warm = self.config.instrument.model_copy(update={"lens_temperature_c": at_c + float(kelvin)})
             sensor = self.sensor.model_copy(update={"instrument": warm})
-            psfs.append(_camera(sensor, *self._trail(self._usual_rate)).state.psfs)
+            psfs.append(_camera(sensor, *self._trail(self._tracked_rate)).state.psfs)
         return ends, *self._fit_bias(*psfs)
 
     @property
-    def _usual_rate(self) -> FloatArray:
+    def _tracked_rate(self) -> FloatArray:
         return np.asarray(self.flight.trajectory.rate(float(self.flight.segments_s[0])))
 
     @cached_property
-    def usual(self) -> CameraPrediction:
-        """Prediction for stars that trail as at the first segment, which the tracker's PSFs are made for."""
-        return self.camera(0.0, self._usual_rate)
+    def tracked(self) -> CameraPrediction:
+        """Prediction for the trails of the first segment, for which the PSFs of the tracker are calibrated."""
+        return self.camera(0.0, self._tracked_rate)
 
-    def _fit_bias(self, *others: tuple[EffectivePsf, ...]) -> tuple[FloatArray, FloatArray]:
-        """Bias of the fit to stars with other PSFs, noiseless: radial mean and RMS over phases (k, f) [px]."""
+    def _fit_bias(self, *psf_sets: tuple[EffectivePsf, ...]) -> tuple[FloatArray, FloatArray]:
+        """Bias of noiseless fits to k other sets of PSFs: radial mean and RMS over pixel phases (k, f) [px]."""
         if not centroider_class(self.config.centroid).needs_epsf:
-            nothing = np.zeros((len(others), len(self.nominal.state.radius_px)))
-            return nothing, nothing
+            zero = np.zeros((len(psf_sets), len(self.nominal.state.radius_px)))
+            return zero, zero
         bright = float(self.nominal.electrons(np.array([np.median(self.guides.magnitude)]), 5800.0)[0])
-        own, noise, window_px = self.usual.state.psfs, self.nominal.processing.noise, self.config.window_px
+        calibrated, noise, window_px = self.tracked.state.psfs, self.nominal.processing.noise, self.config.window_px
         bias = np.array(
-            [fit_bias(self.config.centroid, own, psfs, bright, noise=noise, window_px=window_px) for psfs in others]
+            [
+                fit_bias(self.config.centroid, calibrated, psfs, bright, noise=noise, window_px=window_px)
+                for psfs in psf_sets
+            ]
         )
-        turn = np.radians(AZIMUTH_DEG)
-        return bias.mean(axis=2) @ np.array([np.cos(turn), np.sin(turn)]), np.sqrt(bias.var(axis=2).mean(-1))
+        azimuth = np.radians(AZIMUTH_DEG)
+        return bias.mean(axis=2) @ np.array([np.cos(azimuth), np.sin(azimuth)]), np.sqrt(bias.var(axis=2).mean(-1))
 
     def colour_px(self, temperature_k: FloatArray, radius_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Radial shift (n,) of stars by their colour as the centroider sees it, and its RMS over pixel phases."""
-        apart = colour_distance(temperature_k, self.config.star_temperature_k)
+        """Radial shift (n,) of centroids by the colour of stars, and its RMS over pixel phases."""
+        distance = colour_distance(temperature_k, self.config.star_temperature_k)
         cold, radius = temperature_k < self.config.star_temperature_k, self.nominal.state.radius_px
         bias, spot = (
             np.where(cold, *(np.interp(radius_px, radius, row) for row in rows)) for rows in self._colour_bias
         )
         shift = self.nominal.state.colour_shift_px(temperature_k, radius_px)
-        return np.asarray(shift + apart * bias), np.asarray(apart * spot)
+        return np.asarray(shift + distance * bias), np.asarray(distance * spot)
 
     def heat_px(self, mean_k: float, radius_px: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Radial bias (n,) of the fit through a warmer lens, and its RMS over pixel phases."""
-        ends, *both = self._heat_bias
-        part, end = abs(mean_k) / abs(ends[int(mean_k > 0.0)]), int(mean_k > 0.0)
-        bias, spot = (part * np.interp(radius_px, self.nominal.state.radius_px, rows[end]) for rows in both)
+        ends, *tables = self._heat_bias
+        end = int(mean_k > 0.0)
+        fraction, radius = abs(mean_k) / abs(ends[end]), self.nominal.state.radius_px
+        bias, spot = (fraction * np.interp(radius_px, radius, rows[end]) for rows in tables)
         return np.asarray(bias), np.asarray(spot)
 
     # --- Stars of an attitude
 
     def expected(self, attitude: Rotation, velocity: FloatArray | None) -> tuple[NDArray[np.int64], FloatArray]:
         """Guide stars of a tracker, rows of `guides`, and their directions in cam."""
-        rows, seen, _ = expected_guides(
+        rows, apparent, _ = expected_guides(
             self.guides,
             self.model,
             attitude,
@@ -228,20 +231,21 @@ class Budget:
             margin_px=self.config.window_px // 2 + 1.0,
             most=self.config.tracker.most,
         )
-        return rows, np.asarray(attitude.apply(seen)).reshape(-1, 3)
+        return rows, np.asarray(attitude.apply(apparent)).reshape(-1, 3)
 
     def errors(self, time_s: float, *, state_k: FloatArray | None = None) -> AttitudeErrors:
-        """Errors of the attitude at a time, with the lens in its state then or in another one."""
-        path = self.flight.trajectory
-        return self.errors_of(path.attitude(time_s), np.asarray(path.rate(time_s)), time_s, state_k=state_k)
+        """Errors of the attitude at a time; ``state_k`` in place of the thermal state of that time."""
+        trajectory = self.flight.trajectory
+        return self.errors_of(trajectory.attitude(time_s), np.asarray(trajectory.rate(time_s)), time_s, state_k=state_k)
 
     def errors_of(
         self, attitude: Rotation, rate_rad_per_s: FloatArray, time_s: float, *, state_k: FloatArray | None = None
     ) -> AttitudeErrors:
-        """The same in another attitude, cam from icrs, that turns at another rate."""
+        """As `errors`, for an attitude (cam from icrs) and rate in place of those of the law."""
         flight, config = self.flight, self.config
         rows, v = self.expected(attitude, flight.velocity_km_per_s(time_s))
-        fit = (1.0 - self._bad) ** (config.window_px**2)
+        # probability that no pixel of a window is defective
+        fit = (1.0 - self._defect_fraction) ** (config.window_px**2)
         vectors = [name for name in AttitudeErrors.__slots__ if name.endswith(("arcsec", "arcsec2"))]
         numbers = dict.fromkeys(vectors, np.full(3, np.nan))
         available = len(rows) * fit >= config.tracker.fewest and not flight.blinded(time_s, attitude)
@@ -257,84 +261,85 @@ class Budget:
                 * np.diag(covariance_of_noise(v, weight, sigma**2, probability=fit))
                 for name, sigma in sigmas.items()
             } | {
-                f"{name}_arcsec": RAD_ARCSEC * attitude_of_shifts(v, weight, self._turned(v, moved))
-                for name, moved in (("fov", shift), ("thermal", thermal))
+                f"{name}_arcsec": RAD_ARCSEC * attitude_of_shifts(v, weight, self._direction_change(v, shift_px))
+                for name, shift_px in (("fov", shift), ("thermal", thermal))
             }
             numbers["aberration_arcsec"] = self.aberration_arcsec(time_s, attitude)
         return AttitudeErrors(time_s=time_s, available=available, stars=len(rows) * fit, **numbers)
 
     @property
-    def _bad(self) -> float:
+    def _defect_fraction(self) -> float:
         chip = self.nominal.detector
         return chip.hot_fraction + chip.dead_fraction
 
     def _star_errors(
         self, background_e_per_s: float, rate_rad_per_s: FloatArray, rows: NDArray[np.int64], v: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Noise, pixel patterns, phase, spots of other colours (n,), shift by colour and distortion (n, 2) [px]."""
+        """RMS of noise, pixel patterns, pixel phase, colour phase (n,); shift by colour and distortion (n, 2) [px]."""
         camera = self.camera(background_e_per_s, rate_rad_per_s)
-        away = self._away(v)
-        radius = np.hypot(*away.T)
+        offset_px = self._offset_px(v)
+        radius = np.hypot(*offset_px.T)
         kelvin = self.sky.temperature_k[self.guides.row[rows]]
         electrons = camera.state.electrons_per_s(self.sky.magnitude[self.guides.row[rows]], kelvin, radius)
         electrons = electrons * self.config.instrument.exposure_s * self.sensor.throughput_fraction
         star = camera.stars
-        shown = star.effective(electrons, kelvin, radius)
-        noise = star.sigma_at(star.centroid.noise_px, shown, radius)
+        effective_e = star.effective(electrons, kelvin, radius)
+        noise = star.sigma_at(star.centroid.noise_px, effective_e, radius)
         pixel, phase = (
-            star.sigma_at(each, electrons, radius) for each in (star.centroid.pattern_px, star.centroid.phase_px)
+            star.sigma_at(table_px, electrons, radius)
+            for table_px in (star.centroid.pattern_px, star.centroid.phase_px)
         )
         colour, spot = self.colour_px(kelvin, radius)
-        shift = colour[:, None] * away / np.maximum(radius, 1e-9)[:, None] + self._residual.at(v)
+        shift = colour[:, None] * offset_px / np.maximum(radius, 1e-9)[:, None] + self._residual.at(v)
         return noise, pixel, phase, spot, shift
 
     def _thermal_shift(self, state_k: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Shift of stars by the heated lens (n, 2), and RMS (n,) over pixel phases by its spots [px]."""
-        away = self._away(v)
-        radius = np.hypot(*away.T)
+        """Shift of stars by the heated lens (n, 2), and RMS over pixel phases by its defocus (n,) [px]."""
+        offset_px = self._offset_px(v)
+        radius = np.hypot(*offset_px.T)
         bias, spot = self.heat_px(float(state_k[0]), radius)
-        total = bias[:, None] * away / np.maximum(radius, 1e-9)[:, None]
+        total = bias[:, None] * offset_px / np.maximum(radius, 1e-9)[:, None]
         for name, value in zip(COMPONENTS, state_k, strict=True):
             if name in self.sensitivity:
                 total += value * self.sensitivity[name].at(v)
         return total, spot
 
-    def _turned(self, v: FloatArray, shift_px: FloatArray) -> FloatArray:
+    def _direction_change(self, v: FloatArray, shift_px: FloatArray) -> FloatArray:
         """Shifts on the detector as changes of direction (n, 3) by the camera model."""
-        place = self.model.project(v)
-        return np.asarray(self.model.unproject(place + shift_px) - self.model.unproject(place))
+        position_px = self.model.project(v)
+        return np.asarray(self.model.unproject(position_px + shift_px) - self.model.unproject(position_px))
 
     def aberration_arcsec(self, time_s: float, attitude: Rotation) -> FloatArray:
-        """Error (3,) by the true velocity less the known one."""
+        """Error (3,) by the difference of the true and the tracker's velocity."""
         known = self.flight.known_velocity_km_per_s(time_s)
         unknown = self.flight.velocity_km_per_s(time_s) - (np.zeros(3) if known is None else known)
         return RAD_ARCSEC * attitude_of_velocity(attitude.apply(unknown))
 
-    def _away(self, v: FloatArray) -> FloatArray:
-        """Places (n, 2) of directions from the middle of the detector [px]."""
+    def _offset_px(self, v: FloatArray) -> FloatArray:
+        """Positions (n, 2) [px] of directions relative to the middle of the detector."""
         return np.asarray(self.model.project(v) - self.model.geometry.centre_px)
 
     def unmodelled_px2(self, rows: NDArray[np.int64], v: FloatArray) -> FloatArray:
         """Variance (n,) per axis that the tracker adds to the noise of guide stars, rows of `guides`."""
-        return np.asarray(self.star_error_px[rows] ** 2 + 0.5 * self.scale_error**2 * (self._away(v) ** 2).sum(1))
+        return np.asarray(self.star_error_px[rows] ** 2 + 0.5 * self.scale_error**2 * (self._offset_px(v) ** 2).sum(1))
 
     @cached_property
     def star_error_px(self) -> FloatArray:
-        """Error per axis of every guide star without noise and scale, RMS over field and flight, by its own colour."""
+        """Error per axis of every guide star without noise and scale, RMS over field and flight, by colour."""
         radius, kelvin = detector_radii(self.nominal.state), self.sky.temperature_k[self.guides.row]
-        known, index = np.unique(kelvin.round(-1), return_inverse=True)
-        colour, spot = self.colour_px(np.repeat(known, len(radius)), np.tile(radius, len(known)))
-        colour2 = (0.5 * colour**2 + spot**2).reshape(len(known), -1).mean(1)[index]
-        return np.asarray(np.sqrt(colour2 + self._alike[0]))
+        temperature, index = np.unique(kelvin.round(-1), return_inverse=True)
+        colour, spot = self.colour_px(np.repeat(temperature, len(radius)), np.tile(radius, len(temperature)))
+        colour2 = (0.5 * colour**2 + spot**2).reshape(len(temperature), -1).mean(1)[index]
+        return np.asarray(np.sqrt(colour2 + self._common_error[0]))
 
     @property
     def scale_error(self) -> float:
         """Relative error of the image scale by temperature, RMS over the flight."""
-        return self._alike[1]
+        return self._common_error[1]
 
     @cached_property
-    def _alike(self) -> tuple[float, float]:
-        """Of stars of any colour: variance per axis without noise and scale [px2], and error of the scale, RMS."""
+    def _common_error(self) -> tuple[float, float]:
+        """Common to all colours: variance per axis without noise and scale [px^2], and RMS error of the scale."""
         squares, scales = [0.0], [0.0]
         for time in self.flight.segments_s:
             rows, v = self.expected(self.flight.trajectory.attitude(float(time)), None)
@@ -342,8 +347,8 @@ class Budget:
                 continue
             rate = np.asarray(self.flight.trajectory.rate(float(time)))
             _, pixel, phase, _, _ = self._star_errors(0.0, rate, rows, v)
-            warm, blurred = self._thermal_shift(self.flight.thermal.at(float(time)), v)
-            (*_, growth), residual = fit_similarity(self._away(v), warm)  # shift and roll are the attitude's
+            thermal, blurred = self._thermal_shift(self.flight.thermal.at(float(time)), v)
+            (*_, growth), residual = fit_similarity(self._offset_px(v), thermal)  # the attitude absorbs shift and roll
             residual = residual + self._residual.at(v)
             squares += list(pixel**2 + phase**2 + blurred**2 + 0.5 * (residual**2).sum(1))
             scales.append(growth)
@@ -354,25 +359,25 @@ class Budget:
         return np.array(self.config.tracker.alignment_arcsec)
 
 
-def _sensor(config: Config, old: bool) -> PredictedSensorConfig:
+def _sensor(config: FlightConfig, old: bool) -> PredictedSensorConfig:
     """Prediction for a configuration, at the beginning or the end of its life."""
-    shared = {key: value for key, value in config.model_dump().items() if key in PredictedSensorConfig.model_fields}
-    star, sky = {"temperature_k": config.star_temperature_k}, {"attitudes": FEW_ATTITUDES}
-    sensor = PredictedSensorConfig.model_validate({**shared, "star": star, "sky": sky})
+    common = {key: value for key, value in config.model_dump().items() if key in PredictedSensorConfig.model_fields}
+    star, sky = {"temperature_k": config.star_temperature_k}, {"attitudes": SKY_ATTITUDES}
+    sensor = PredictedSensorConfig.model_validate({**common, "star": star, "sky": sky})
     return aged_config(sensor, 1.0) if old else sensor
 
 
 def _camera(sensor: PredictedSensorConfig, rate_deg_per_s: float, direction_deg: float) -> CameraPrediction:
     slew = SlewConfig(rate_deg_per_s=rate_deg_per_s, direction_deg=direction_deg)
-    return _kept(sensor.model_copy(update={"slew": slew}).model_dump_json())
+    return _cached(sensor.model_copy(update={"slew": slew}).model_dump_json())
 
 
 @lru_cache(maxsize=512)
-def _kept(text: str) -> CameraPrediction:
+def _cached(text: str) -> CameraPrediction:
     return predict_camera(PredictedSensorConfig.model_validate_json(text))
 
 
-def build_budget(config: Config, flight: Flight, *, old: bool = False) -> Budget:
+def build_budget(config: FlightConfig, flight: Flight, *, old: bool = False) -> Budget:
     """Prediction at the beginning of life, or of the ``old`` sensor.
 
     Raises

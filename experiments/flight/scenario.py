@@ -1,4 +1,4 @@
-"""Conditions of the flight at any time: attitude, temperatures, velocity known and true, stray light."""
+"""Conditions of the flight against time: attitude, temperatures, true and known velocity, stray light."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from experiments.flight.settings import Config, OrbitConfig
+from experiments.flight.settings import FlightConfig, OrbitConfig
 from optics.arrays import FloatArray
 from optics.attitude import attitude_from_angles
 from optics.errors import DomainError, StarbenchError
@@ -29,15 +29,17 @@ from render.motion.trajectory import ConstantRate, SampledAttitude, Trajectory, 
 SAMPLES = 721
 """Times of the attitude of an elliptic orbit, per revolution."""
 BEFORE_S, AFTER_S = 60.0, 600.0
-"""The trajectory begins before and ends after the orbit, for segments at its ends."""
-LONGEST_GAP = 0.05
+"""Extension of the trajectory before and after the orbit, for segments at its ends."""
+LARGEST_GAP_FRACTION = 0.05
 """Largest gap of a temperature table, as a fraction of the orbit."""
 GAP_DEG = 90.0
 """Largest turn of an attitude table between rows."""
 
 
-def read_columns(file: str, key: str, needed: tuple[str, ...], may: tuple[str, ...] = ()) -> dict[str, FloatArray]:
-    """Columns of a CSV file; the first of ``needed`` increases.
+def read_columns(
+    file: str, key: str, required: tuple[str, ...], optional: tuple[str, ...] = ()
+) -> dict[str, FloatArray]:
+    """Columns of a CSV file; the first of ``required`` increases.
 
     Raises
     ------
@@ -47,25 +49,25 @@ def read_columns(file: str, key: str, needed: tuple[str, ...], may: tuple[str, .
     """
     lines = read_text(Path(file), "a table").lines
     rows = list(csv.reader(line for line in lines if line.strip() and not line.startswith("#")))
-    head = [name.strip() for name in rows[0]] if rows else []
+    header = [name.strip() for name in rows[0]] if rows else []
     what = f"{key} = {Path(file).name}"
-    if missing := [name for name in needed if name not in head]:
-        raise DomainError(f"{what}: no column {missing[0]}; required: {', '.join(needed)}")
-    if unknown := [name for name in head if name not in (*needed, *may)]:
-        raise DomainError(f"{what}: column {unknown[0]} is not known; columns are {', '.join((*needed, *may))}")
+    if missing := [name for name in required if name not in header]:
+        raise DomainError(f"{what}: no column {missing[0]}; required: {', '.join(required)}")
+    if unknown := [name for name in header if name not in (*required, *optional)]:
+        raise DomainError(f"{what}: column {unknown[0]} is not known; columns are {', '.join((*required, *optional))}")
     try:
-        values = np.array([[float(cell) for cell in row] for row in rows[1:]]).reshape(-1, len(head))
+        values = np.array([[float(cell) for cell in row] for row in rows[1:]]).reshape(-1, len(header))
     except ValueError:
-        raise DomainError(f"{what}: every row needs {len(head)} numbers, as its head has columns") from None
-    table = dict(zip(head, values.T, strict=True))
-    first = table[needed[0]]
+        raise DomainError(f"{what}: every row needs {len(header)} numbers, as its head has columns") from None
+    table = dict(zip(header, values.T, strict=True))
+    first = table[required[0]]
     if len(first) < 2 or not np.isfinite(values).all():
         raise DomainError(f"{what}: at least two rows of finite numbers are needed")
     if not (np.diff(first) > 0).all():
         row = int(np.argmax(np.diff(first) <= 0)) + 1
         raise DomainError(
-            f"{what}: {needed[0]} = {first[row]:g} in row {row + 1} is not above {first[row - 1]:g} before it; it has "
-            "to increase"
+            f"{what}: {required[0]} = {first[row]:g} in row {row + 1} is not above {first[row - 1]:g} before it; it "
+            "has to increase"
         )
     return table
 
@@ -79,9 +81,9 @@ def _covers(time_s: FloatArray, end_s: float, what: str) -> None:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Flight:
-    """Everything that is a function of time; made by `build_flight`."""
+    """Conditions as functions of time; see `build_flight`."""
 
-    config: Config
+    config: FlightConfig
     orbit: Orbit
     view: OrbitView  # Sun, Earth and Moon
     trajectory: Trajectory  # cam from icrs
@@ -101,13 +103,12 @@ class Flight:
 
     @cached_property
     def states_k(self) -> FloatArray:
-        """Thermal states (segments, 5) that segments are rendered in: of like uniform temperature, their mean."""
-        own = self.thermal.at(self.segments_s)
-        count = min(self.config.frames.thermal_states, len(own))
-        found = np.empty_like(own)
-        for group in np.array_split(np.argsort(own[:, 0], kind="stable"), count):
-            found[group] = own[group].mean(axis=0)
-        return found
+        """Thermal states (segments, 5) of the rendered segments: means over groups of similar uniform temperature."""
+        states = self.thermal.at(self.segments_s)
+        count = min(self.config.frames.thermal_states, len(states))
+        for group in np.array_split(np.argsort(states[:, 0], kind="stable"), count):
+            states[group] = states[group].mean(axis=0)
+        return states
 
     def frame_times_s(self, start_s: float) -> FloatArray:
         """Middles of the exposures of a segment."""
@@ -125,8 +126,8 @@ class Flight:
             return None
         if setting.corrected == "earth":
             return self.view.earth.velocity_km_per_s
-        _, own = self.orbit.state(time_s)
-        error = 1e-3 * setting.velocity_error_m_per_s * own / math.hypot(*own)
+        _, orbital = self.orbit.state(time_s)
+        error = 1e-3 * setting.velocity_error_m_per_s * orbital / math.hypot(*orbital)
         return np.asarray(self.velocity_km_per_s(time_s) + error)
 
     def angles_deg(self, time_s: ArrayLike, attitude: Rotation | None = None) -> dict[str, FloatArray]:
@@ -140,12 +141,12 @@ class Flight:
         return in_shadow(self.orbit.state(time_s)[0], self.view.sun)
 
     def background_e_per_s(self, time_s: ArrayLike, attitude: Rotation | None = None) -> FloatArray:
-        """Stray light (...,) per pixel; in the shadow there is none of the Sun."""
+        """Stray light (...,) per pixel; none of the Sun in the shadow of the Earth."""
         angles, dark = self.angles_deg(time_s, attitude), self.shadowed(time_s)
         light = np.zeros(np.shape(time_s))
         for body, (angle, rate) in self.straylight.items():
-            seen = np.interp(angles[body], angle, rate)
-            light = light + (np.where(dark, 0.0, seen) if body == "sun" else seen)
+            body_light = np.interp(angles[body], angle, rate)
+            light = light + (np.where(dark, 0.0, body_light) if body == "sun" else body_light)
         return np.asarray(light)
 
     def blinded(self, time_s: ArrayLike, attitude: Rotation | None = None) -> NDArray[np.bool_]:
@@ -160,14 +161,14 @@ class Flight:
 
 
 def build_orbit(config: OrbitConfig, epoch_year: float) -> Orbit:
-    """The orbit at an epoch: that of the two-line elements, where the configuration has them."""
+    """The orbit: of the Kepler elements at an epoch, or of two-line elements at theirs."""
     try:
         return sgp4_orbit(*config.tle) if config.tle else kepler_orbit(**config.kepler, epoch_year=epoch_year)
     except StarbenchError as error:
         raise type(error)(f"orbit.tle: {error}") from None
 
 
-def build_flight(config: Config) -> Flight:
+def build_flight(config: FlightConfig) -> Flight:
     """The flight of a configuration.
 
     Raises
@@ -202,7 +203,7 @@ def _straylight(file: str, key: str) -> tuple[FloatArray, FloatArray]:
 # --- Attitude
 
 
-def _trajectory(config: Config, orbit: Orbit) -> Trajectory:
+def _trajectory(config: FlightConfig, orbit: Orbit) -> Trajectory:
     law, start, end = config.attitude, -BEFORE_S, orbit.period_s + AFTER_S
     base: Trajectory
     if law.law == "table":
@@ -237,8 +238,8 @@ def _tabulated(file: str, end_s: float) -> SampledAttitude:
     if np.abs(length - 1.0).max() > 1e-3:
         worst = length[np.abs(length - 1.0).argmax()]
         raise DomainError(f"attitude.file = {Path(file).name}: a quaternion has the length {worst:g}; it must be 1")
-    turned = Rotation.from_quat(quat)
-    step = np.degrees((turned[1:] * turned[:-1].inv()).magnitude())
+    attitudes = Rotation.from_quat(quat)
+    step = np.degrees((attitudes[1:] * attitudes[:-1].inv()).magnitude())
     if step.max() > GAP_DEG:
         row = int(step.argmax())
         raise DomainError(
@@ -246,15 +247,15 @@ def _tabulated(file: str, end_s: float) -> SampledAttitude:
             f"{table['time_s'][row + 1]:g} s; a gap, at most {GAP_DEG:g} deg"
         )
     time = table["time_s"]
-    if time[-1] < end_s + AFTER_S:  # at rest beyond its end, as far as segments reach
-        time, turned = np.append(time, end_s + AFTER_S + 1.0), Rotation.concatenate([turned, turned[-1]])
-    return SampledAttitude(samples_s=time, attitudes=turned)
+    if time[-1] < end_s + AFTER_S:  # at rest beyond its end
+        time, attitudes = np.append(time, end_s + AFTER_S + 1.0), Rotation.concatenate([attitudes, attitudes[-1]])
+    return SampledAttitude(samples_s=time, attitudes=attitudes)
 
 
 # --- Temperature
 
 
-def _thermal(config: Config, orbit: Orbit, view: OrbitView) -> ThermalHistory:
+def _thermal(config: FlightConfig, orbit: Orbit, view: OrbitView) -> ThermalHistory:
     """First harmonics of the orbit and a step in the shadow; or a table."""
     setting, period = config.temperature, orbit.period_s
     if setting.file:
@@ -274,7 +275,7 @@ def _tabulated_temperatures(file: str, period_s: float) -> ThermalHistory:
     table = read_columns(file, "temperature.file", ("time_s", "mean_k"), COMPONENTS[1:])
     what, time_s = f"temperature.file = {Path(file).name}", table["time_s"]
     _covers(time_s, period_s, what)
-    gap, longest = float(np.diff(time_s).max()), LONGEST_GAP * period_s
+    gap, longest = float(np.diff(time_s).max()), LARGEST_GAP_FRACTION * period_s
     if gap > longest:
         raise DomainError(f"{what}: a gap of {gap:g} s; at most {longest:.0f} s, a twentieth of the orbit")
     columns = [table.get(name, np.zeros(len(time_s))) for name in COMPONENTS]

@@ -163,7 +163,7 @@ class TrackerConfig(StrictModel):
 Environment = Literal["none", "deep_space_solar_minimum", "deep_space_solar_maximum", "solar_flare", "leo_quiet"]
 
 
-class FramesConfig(StrictModel):
+class FlightFramesConfig(StrictModel):
     """Rendered parts of the orbit."""
 
     segments: int = Field(default=12, ge=2, le=500, description="number of segments, evenly spaced over the orbit")
@@ -184,7 +184,7 @@ class FramesConfig(StrictModel):
     end_of_life: bool = Field(default=False, description="render the sensor at the end of life")
 
 
-class Config(SensorExperimentConfig, SensorConfig):
+class FlightConfig(SensorExperimentConfig, SensorConfig):
     """Sensor file and flight; defaults: the built-in 206 mm star camera in a low Earth orbit."""
 
     detector: DetectorConfig = DetectorConfig()
@@ -195,7 +195,7 @@ class Config(SensorExperimentConfig, SensorConfig):
     aberration: AberrationConfig = AberrationConfig()
     straylight: StraylightConfig = StraylightConfig()
     tracker: TrackerConfig = TrackerConfig()
-    frames: FramesConfig = FramesConfig()
+    frames: FlightFramesConfig = FlightFramesConfig()
     life: LifeConfig = LifeConfig(
         years=10.0, darkened_glass=0.1, displacement_dose_tev_per_g=50.0, depleted_volume_um3=60.0
     )
@@ -209,7 +209,7 @@ class Config(SensorExperimentConfig, SensorConfig):
     predict_only: bool = Field(default=False, description="predict only, without rendered frames")
 
     @model_validator(mode="after")
-    def _possible(self) -> Config:
+    def _possible(self) -> FlightConfig:
         if self.frames.end_of_life and not self.life.years:
             raise ValueError("frames.end_of_life needs life.years above 0")
         if self.instrument.line_time_us:
@@ -219,7 +219,7 @@ class Config(SensorExperimentConfig, SensorConfig):
 
 experiment = Experiment(
     name="flight",
-    config=Config,
+    config=FlightConfig,
     run="experiment:run",
     sections="experiment:SECTIONS",
     axes="experiment:axes",

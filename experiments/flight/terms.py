@@ -1,4 +1,4 @@
-"""Section of the terms: the attitude error split term by term, and verdicts on ratios and slopes."""
+"""Terms of the attitude error, measured and predicted, with verdicts on their ratios and slopes."""
 
 from __future__ import annotations
 
@@ -32,38 +32,38 @@ FEWEST_SOLVED = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AttitudeTerm:
-    """One term of the budget, root mean square over the flight, about one axis; roll apart."""
+    """Term of the budget: RMS over the flight about a cross axis, and about the boresight."""
 
     measured_arcsec: Sequence[Measured] | None = col("Measured", "arcsec", dims="component", default=None)
     predicted_arcsec: FloatArray = col("Predicted", "arcsec", ".4g", "component")
     ratio: Sequence[Measured] | None = col("Measured / predicted", dims="component", default=None)
     # Slope of measured errors against predicted ones over the segments; NaN for random terms
     slope: Sequence[Measured] | None = col("Slope of measured against predicted", dims="component", default=None)
-    term: str  # Its key in `LABELS`
+    term: str  # Key of `LABELS`
 
 
-def _where_known(make: Callable[..., Verdict], name: str, *values: float, **how: Any) -> list[Verdict]:
-    """The verdict on a number of every term and component in ``terms``, where it is known."""
+def _where_finite(make: Callable[..., Verdict], name: str, *values: float, **options: Any) -> list[Verdict]:
+    """Verdicts on a number of each of ``terms`` and each component; none where it is NaN."""
 
     def judged(term: str, component: str) -> Verdict:
         at = {"term": term, "component": component}
-        verdict = make(name, *values, at=at, **how)
+        verdict = make(name, *values, at=at, **options)
 
         def judge(outcome: Outcome) -> list[Criterion]:
-            known = name in outcome and term in outcome.data["term"].values
-            return verdict(outcome) if known and math.isfinite(float(outcome.values(name, **at))) else []
+            present = name in outcome and term in outcome.data["term"].values
+            return verdict(outcome) if present and math.isfinite(float(outcome.values(name, **at))) else []
 
         judge.names = verdict.names  # type: ignore[attr-defined]
         return judge  # type: ignore[return-value]
 
-    terms = how.pop("terms")
+    terms = options.pop("terms")
     return [judged(term, component) for term in terms for component, _ in COMPONENTS]
 
 
 VERDICTS = [
-    *_where_known(ratio_near, "terms.ratio", within=0.15, title="measured over predicted", terms=TERMS),
-    *_where_known(ratio_near, "terms.ratio", within=0.10, title="measured over predicted", terms=("total",)),
-    *_where_known(
+    *_where_finite(ratio_near, "terms.ratio", within=0.15, title="measured over predicted", terms=TERMS),
+    *_where_finite(ratio_near, "terms.ratio", within=0.10, title="measured over predicted", terms=("total",)),
+    *_where_finite(
         agree,
         "terms.slope",
         1.0,
@@ -76,7 +76,7 @@ VERDICTS = [
 
 
 def segment_prediction(budget: Budget, errors: Sequence[AttitudeErrors]) -> AttitudePrediction:
-    """Predicted errors of segments, with the correlation between their frames."""
+    """Predicted errors of segments with the correlation between frames."""
     flight = budget.flight
     rates = [np.asarray(flight.trajectory.rate(error.time_s))[:2] / budget.pixel_rad for error in errors]
     return AttitudePrediction(
@@ -91,14 +91,14 @@ def segment_prediction(budget: Budget, errors: Sequence[AttitudeErrors]) -> Atti
 
 
 def predicted_terms(budget: Budget, errors: Sequence[AttitudeErrors]) -> list[AttitudeTerm]:
-    """The prediction alone; nothing where the sensor has no attitude at any of the times."""
+    """Terms of the prediction alone; empty where there is no attitude at any time."""
     available = [error for error in errors if error.available]
     if not available:
         return []
     prediction = segment_prediction(budget, available)
     squares = [prediction.squares(axes) for _, axes in COMPONENTS]
     return [
-        AttitudeTerm(term=name, predicted_arcsec=np.sqrt([part[name] for part in squares]))
+        AttitudeTerm(term=name, predicted_arcsec=np.sqrt([component[name] for component in squares]))
         for name in (*TERMS, "total")
     ]
 
@@ -112,13 +112,13 @@ def measured_terms(budget: Budget, segments: Sequence[Segment], errors: Sequence
     ]
     if len(pairs) < 2:
         return predicted_terms(budget, errors)
-    prediction, flown = segment_prediction(budget, [error for _, error in pairs]), [segment for segment, _ in pairs]
+    prediction, solved = segment_prediction(budget, [error for _, error in pairs]), [segment for segment, _ in pairs]
     columns = [
         prediction.compare(
             axes,
-            error_arcsec=[segment.error_arcsec for segment in flown],
-            thermal_arcsec=[segment.thermal_arcsec for segment in flown],
-            aberration_arcsec=[segment.aberration_arcsec for segment in flown],
+            error_arcsec=[segment.error_arcsec for segment in solved],
+            thermal_arcsec=[segment.thermal_arcsec for segment in solved],
+            aberration_arcsec=[segment.aberration_arcsec for segment in solved],
             false_alarm=FALSE_ALARM,
         )
         for _, axes in COMPONENTS
@@ -127,7 +127,7 @@ def measured_terms(budget: Budget, segments: Sequence[Segment], errors: Sequence
 
 
 def _term(name: str, components: Sequence[TermEstimate]) -> AttitudeTerm:
-    def known(number: tuple[float, float], estimate: TermEstimate) -> Measured:
+    def judged(number: tuple[float, float], estimate: TermEstimate) -> Measured:
         value, error = number
         if not (estimate.comparable and math.isfinite(value)):
             return Measured(value=math.nan, uncertainty=math.nan)
@@ -138,6 +138,6 @@ def _term(name: str, components: Sequence[TermEstimate]) -> AttitudeTerm:
         term=name,
         measured_arcsec=[Measured(value=v, unit="arcsec", uncertainty=error, n=n) for v, error, n in roots],
         predicted_arcsec=np.sqrt([estimate.predicted_arcsec2 for estimate in components]),
-        ratio=[known(estimate.ratio, estimate) for estimate in components],
-        slope=[known(estimate.slope, estimate) for estimate in components],
+        ratio=[judged(estimate.ratio, estimate) for estimate in components],
+        slope=[judged(estimate.slope, estimate) for estimate in components],
     )

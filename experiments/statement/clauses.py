@@ -14,10 +14,10 @@ UNREAD = "number not read"
 
 @dataclass(frozen=True, slots=True)
 class Clause:
-    """A term of the standard, and its place."""
+    """Term of the standard, and its clauses."""
 
     term: str
-    where: str = UNREAD
+    clauses: str = UNREAD
 
 
 CLAUSES = {
@@ -53,4 +53,4 @@ NOT_COVERED = (
     ("Lost in space: probability and time of acquisition, wrong attitudes", "needs a flight run", "flight"),
     ("Thermo-elastic error over an orbit, aberration residual", "needs a flight run", "flight"),
 )
-"""Title, reason, what covers it (``"flight"``: the results of a flight)."""
+"""Title, reason, experiment that covers it."""

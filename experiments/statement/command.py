@@ -27,13 +27,13 @@ def statement(sensor: str | None, settings: tuple[str, ...], flight: str | None,
     if not page.parent.is_dir():
         raise ConfigError(f"{page}: the folder {page.parent} does not exist")
     from experiments.statement.page import page_of
-    from experiments.statement.study import statement as state
+    from experiments.statement.study import predict_statement
 
-    made = state(() if sensor is None else (sensor,), settings, flight)
-    write_text(page, page_of(made, "built-in tracker" if sensor is None else Path(sensor).name))
-    missed = [one.label for one in made.requirements if not one.met]
-    click.echo(f"{made.name}: attitude {made.ame_arcsec[0]:.3g} / {made.ame_arcsec[1]:.3g} arcsec (AME, 95 %)")
-    if made.requirements:
-        click.echo(f"required values met: {len(made.requirements) - len(missed)} of {len(made.requirements)}")
+    result = predict_statement(() if sensor is None else (sensor,), settings, flight)
+    write_text(page, page_of(result, "built-in tracker" if sensor is None else Path(sensor).name))
+    missed = [requirement.label for requirement in result.requirements if not requirement.met]
+    click.echo(f"{result.name}: attitude {result.ame_arcsec[0]:.3g} / {result.ame_arcsec[1]:.3g} arcsec (AME, 95 %)")
+    if result.requirements:
+        click.echo(f"required values met: {len(result.requirements) - len(missed)} of {len(result.requirements)}")
         click.echo("".join(f"  not met: {label}\n" for label in missed), nl=False)
     click.echo(f"page: {page}")

@@ -13,57 +13,59 @@ from experiments.harness.provenance import collect
 from experiments.harness.quantities import Outcome
 from experiments.harness.tables import Table
 from experiments.statement.clauses import CLAUSES, NOT_COVERED
-from experiments.statement.study import Line, Statement
+from experiments.statement.study import Statement, StatementLine
 
 
-def tables(made: Statement) -> dict[str, Table]:
+def tables(statement: Statement) -> dict[str, Table]:
     """Tables of the page."""
-    found = {
+    result = {
         "conditions": Table(
             columns=("condition", "value", "derivation"),
-            rows=list(made.conditions),
+            rows=list(statement.conditions),
             caption="Conditions of all numbers below.",
         ),
-        "errors": _lines(made.errors, "Errors, in the order of their contributors."),
-        "detection": _lines(made.detection, "Field of view, detection and update rate."),
+        "errors": _lines(statement.errors, "Errors, in the order of their contributors."),
+        "detection": _lines(statement.detection, "Field of view, detection and update rate."),
         "missing": Table(
             columns=("clause", "why"),
-            rows=[(title, why) for title, why, by in NOT_COVERED if not (by and made.flight)],
+            rows=[
+                (title, reason) for title, reason, covered_by in NOT_COVERED if not (covered_by and statement.flight)
+            ],
             caption="Clauses not covered.",
         ),
     }
-    if made.requirements:
-        found["compliance"] = Table(
+    if statement.requirements:
+        result["compliance"] = Table(
             columns=("requirement", "required", "stated", "unit", "margin", "compliant"),
             rows=[
                 (
-                    one.label,
-                    f"{'≥' if one.at_least else '≤'} {one.required:g}",
-                    f"{one.predicted:.4g}",
-                    one.unit,
-                    one.margin,
-                    "yes" if one.met else "no",
+                    requirement.label,
+                    f"{'≥' if requirement.at_least else '≤'} {requirement.required:g}",
+                    f"{requirement.predicted:.4g}",
+                    requirement.unit,
+                    requirement.margin,
+                    "yes" if requirement.met else "no",
                 )
-                for one in made.requirements
+                for requirement in statement.requirements
             ],
             caption="Required and stated values.",
         )
-    return found
+    return result
 
 
-def _lines(lines: Sequence[Line], caption: str) -> Table:
+def _lines(lines: Sequence[StatementLine], caption: str) -> Table:
     """Grouped by clause, in the order of `CLAUSES`."""
-    rows, last = [], ""
-    for one in sorted(lines, key=lambda line: list(CLAUSES).index(line.clause)):
-        clause = CLAUSES[one.clause]
-        head = f"{clause.term} ({clause.where})" if one.clause != last else ""
-        last = one.clause
-        rows.append((head, one.what, one.value, one.statistic, one.conditions, one.derivation))
+    rows, previous = [], ""
+    for line in sorted(lines, key=lambda line: list(CLAUSES).index(line.clause)):
+        clause = CLAUSES[line.clause]
+        head = f"{clause.term} ({clause.clauses})" if line.clause != previous else ""
+        previous = line.clause
+        rows.append((head, line.quantity, line.value, line.statistic, line.conditions, line.derivation))
     heads = ("clause", "of", "value", "metric, level", "conditions", "derivation")
     return Table(columns=heads, rows=rows, caption=caption)
 
 
-def page_of(made: Statement, sensor: str) -> str:
+def page_of(statement: Statement, sensor: str) -> str:
     """One self-contained HTML page."""
 
     def draw(name: str, *arguments: Any) -> Any:
@@ -71,8 +73,8 @@ def page_of(made: Statement, sensor: str) -> str:
 
     return render_document(
         Path(__file__).with_name("report.md"),
-        Outcome(config=None, result=made, data=xr.Dataset()),
-        tables=tables(made),
+        Outcome(config=None, result=statement, data=xr.Dataset()),
+        tables=tables(statement),
         draw=draw,
         criteria=(),
         provenance=collect("statement", {"sensor": sensor, "seed": None}, variant=None, quick=False, times_s={}),

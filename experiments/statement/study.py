@@ -1,10 +1,10 @@
-"""Numbers of a performance statement: from the prediction of `camera`, the lens, and optionally a flight."""
+"""Numbers of a performance statement: prediction of `camera`, thermal sensitivity of the lens, results of a flight."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,9 +13,9 @@ from calib.accuracy.ecss_metrics import mixture_bound, normal_factor, quantile_l
 from calib.attitude.attitude_covariance import attitude_of_velocity
 from experiments.harness.progress import Progress
 from experiments.harness.provenance import without_paths
-from experiments.harness.quantities import Outcome
 from experiments.harness.registry import declared
 from experiments.harness.run import Options, configuration
+from experiments.harness.sections import single_numbers
 from experiments.statement.clauses import CLAUSES
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, StarbenchError
@@ -28,18 +28,18 @@ LEVELS = (0.683, 0.95, 0.997)
 OVER_TEMPERATURE = {"focus_shift_um", "spot_thermal_px", "scale_change_ppm"}
 """Requirements that need the sensor predicted at several temperatures."""
 CONFIDENCE = 0.9
-"""Of a limit that a sample of the sky tells."""
+"""Confidence of a limit that is estimated from a sample of attitudes."""
 ANALYSIS, RENDERED, INPUT = "analysis", "rendered simulation", "input"
 EARTH_KM_PER_S = 29.7847
 """Mean orbital speed of the Earth."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Line:
+class StatementLine:
     """A number with its metric, conditions and method."""
 
     clause: str  # Key of `CLAUSES`
-    what: str
+    quantity: str
     value: str  # With its unit; across the boresight / about it
     statistic: str
     conditions: str
@@ -51,9 +51,9 @@ class Statement:
     """Content of the document."""
 
     name: str
-    conditions: Sequence[tuple[str, str, str]]  # What, value, derivation
-    errors: Sequence[Line]
-    detection: Sequence[Line]
+    conditions: Sequence[tuple[str, str, str]]  # Condition, value, derivation
+    errors: Sequence[StatementLine]
+    detection: Sequence[StatementLine]
     requirements: Sequence[Any]
     unjudged: Sequence[str]
     flight: str
@@ -62,21 +62,16 @@ class Statement:
     limiting_mag: float
 
 
-class _Numbers:
-    """Numbers of the prediction by name."""
-
-    def __init__(self, outcome: Outcome) -> None:
-        self.outcome = outcome
-
-    def __call__(self, name: str) -> float:
-        return float(self.outcome.values(name))
-
-    def pair(self, name: str) -> tuple[float, float]:
-        """A number across and about the boresight."""
-        return self(f"attitude_cross{name}_arcsec"), self(f"attitude_roll{name}_arcsec")
+Numbers = Callable[[str], float]
+"""Prediction of the experiment camera by field."""
 
 
-def statement(sensor: Sequence[str], settings: Sequence[str] = (), flight: str | None = None) -> Statement:
+def _pair(number: Numbers, name: str = "") -> tuple[float, float]:
+    """A predicted attitude error across and about the boresight."""
+    return number(f"attitude_cross{name}_arcsec"), number(f"attitude_roll{name}_arcsec")
+
+
+def predict_statement(sensor: Sequence[str], settings: Sequence[str] = (), flight: str | None = None) -> Statement:
     """Predict the sensor of a file and collect its statement.
 
     Parameters
@@ -90,36 +85,40 @@ def statement(sensor: Sequence[str], settings: Sequence[str] = (), flight: str |
     """
     camera = declared("camera")
     config = configuration(camera, Options(sensor=tuple(sensor), settings=tuple(settings)))
-    told = None if flight is None else read_flight(Path(flight), config)
+    flown = None if flight is None else read_flight(Path(flight), config)
     outcome = camera.outcome(config, camera.part(camera.predict)(config, progress=Progress()))
-    asked = {key for key, value in config.requirements.model_dump().items() if value is not None}
-    if asked & OVER_TEMPERATURE:
-        shorter = config.tornado.model_copy(update={"parameters": ()})
-        config = config.model_copy(update={"tornado": shorter, "predict_only": True})
+    required = {key for key, value in config.requirements.model_dump().items() if value is not None}
+    if required & OVER_TEMPERATURE:
+        no_tornado = config.tornado.model_copy(update={"parameters": ()})
+        config = config.model_copy(update={"tornado": no_tornado, "predict_only": True})
         outcome = camera.outcome(config, camera.part(camera.run)(config, progress=Progress()))
-    number = _Numbers(outcome)
+    numbers = single_numbers(outcome.data)
+
+    def number(name: str) -> float:
+        return float(numbers[name].values)
+
     setup, judged = outcome.result["setup"], outcome.result["requirements"]
     thermal, refusal = _sensitivity(config, number("field_diagonal_deg"))
     conditions = _conditions(config, number, setup)
-    at = f"sky, {config.sky.attitudes} attitudes"
-    across, roll = (outcome.values(f"sky_{axis}_arcsec") for axis in ("cross", "roll"))
+    sampled_sky = f"sky, {config.sky.attitudes} attitudes"
+    across, roll = (outcome.values(f"attitudes.{axis}_arcsec") for axis in ("cross", "roll"))
     errors = [
-        *_attitude(number, across, roll, at),
-        *_terms(number, config, at),
+        *_attitude(number, across, roll, sampled_sky),
+        *_terms(number, config, sampled_sky),
         *(() if thermal is None else _thermal(thermal, number)),
         _aberration(),
-        *([] if told is None else _flight(told, Path(str(flight)).name)),
+        *([] if flown is None else _flight(flown, Path(str(flight)).name)),
     ]
     return Statement(
         name=setup.name,
         conditions=conditions,
         errors=errors,
         detection=[
-            *_detection(number, at),
-            *([] if told is None else _availability(told, Path(str(flight)).name)),
+            *_detection(number, sampled_sky),
+            *([] if flown is None else _availability(flown, Path(str(flight)).name)),
         ],
         requirements=judged,
-        unjudged=sorted(asked - {one.key for one in judged}),
+        unjudged=sorted(required - {requirement.key for requirement in judged}),
         flight="" if flight is None else Path(flight).name,
         notes=[f"No thermo-elastic sensitivity: {refusal}."] if refusal else [],
         ame_arcsec=(mixture_bound(across, 0.95), mixture_bound(roll, 0.95)),
@@ -138,7 +137,7 @@ def _sensitivity(config: Any, diagonal_deg: float) -> tuple[ThermalSensitivity |
         return None, str(error).splitlines()[0]
 
 
-def _conditions(config: Any, number: _Numbers, setup: Any) -> list[tuple[str, str, str]]:
+def _conditions(config: Any, number: Numbers, setup: Any) -> list[tuple[str, str, str]]:
     instrument, star = config.instrument, config.star
     lens_c = instrument.lens_temperature_c
     return [
@@ -177,68 +176,79 @@ def _percent(level: float) -> str:
     return f"{100.0 * level:.4g} %"
 
 
-def _attitude(number: _Numbers, across: FloatArray, roll: FloatArray, at: str) -> Iterator[Line]:
+def _attitude(number: Numbers, across: FloatArray, roll: FloatArray, sampled_sky: str) -> Iterator[StatementLine]:
     axes, factor, worst = (across, roll), normal_factor(0.997), "attitude, worst 1 % of the sky"
     rows = [("attitude", [mixture_bound(a, p) for a in axes], f"AME, {_percent(p)}, mixed") for p in LEVELS]
-    rows.append((worst, [factor * v for v in number.pair("_worst")], "AME, 99.7 %, ensemble, normal error"))
+    rows.append((worst, [factor * v for v in _pair(number, "_worst")], "AME, 99.7 %, ensemble, normal error"))
     limits = [factor * quantile_limit(axis, 0.99, CONFIDENCE) for axis in axes]
     rows.append((worst, limits, f"the same, upper limit at {_percent(CONFIDENCE)} confidence"))
-    for what, values, statistic in rows:
-        yield Line(clause="total", what=what, value=_arcsec(*values), statistic=statistic, conditions=at)
+    for quantity, values, statistic in rows:
+        yield StatementLine(
+            clause="total", quantity=quantity, value=_arcsec(*values), statistic=statistic, conditions=sampled_sky
+        )
 
 
-def _terms(number: _Numbers, config: Any, at: str) -> Iterator[Line]:
+def _terms(number: Numbers, config: Any, sampled_sky: str) -> Iterator[StatementLine]:
     factor, sigma = normal_factor(0.997), "99.7 %, normal error"
     star = f"star of {config.star.magnitude_mag:g} mag, mean over the detector"
     rows: list[tuple[str, str, Sequence[float], str, str]] = []
     for part, where in (("", "median of the sky"), ("_worst", "worst 1 % of the sky")):
-        noise, total = number.pair(f"{part}_noise"), number.pair(part)
+        noise, total = _pair(number, f"{part}_noise"), _pair(number, part)
         spatial = [math.sqrt(max(t * t - n * n, 0.0)) for t, n in zip(total, noise, strict=True)]
-        what, squares = f"attitude, {where}; with star colours (FOV spatial)", f"{at}; squares of quantiles subtracted"
-        rows.append(("temporal_noise", f"attitude, {where}", noise, f"RME, {sigma}, ensemble", at))
-        rows.append(("pixel_spatial", what, spatial, f"{sigma}, ensemble", squares))
-    for clause, what, parts in (
+        quantity, squares = (
+            f"attitude, {where}; with star colours (FOV spatial)",
+            f"{sampled_sky}; squares of quantiles subtracted",
+        )
+        rows.append(("temporal_noise", f"attitude, {where}", noise, f"RME, {sigma}, ensemble", sampled_sky))
+        rows.append(("pixel_spatial", quantity, spatial, f"{sigma}, ensemble", squares))
+    for clause, quantity, parts in (
         ("temporal_noise", "noise-equivalent angle", ("nea",)),
         ("pixel_spatial", "pixel patterns and pixel phase", ("pattern", "phase")),
         ("fov_spatial", "star colours (distortion calibrated)", ("colour",)),
     ):
         size = math.hypot(*(number(f"{part}_arcsec") for part in parts))
-        rows.append((clause, f"single star, {what}", (size,), sigma, star))
-    for clause, what, values, statistic, conditions in rows:
+        rows.append((clause, f"single star, {quantity}", (size,), sigma, star))
+    for clause, quantity, values, statistic, conditions in rows:
         value = _arcsec(*(factor * v for v in values))
-        yield Line(clause=clause, what=what, value=value, statistic=statistic, conditions=conditions)
+        yield StatementLine(clause=clause, quantity=quantity, value=value, statistic=statistic, conditions=conditions)
 
 
-def _thermal(found: ThermalSensitivity, number: _Numbers) -> Iterator[Line]:
+def _thermal(sensitivity: ThermalSensitivity, number: Numbers) -> Iterator[StatementLine]:
     corner = math.tan(math.radians(0.5 * number("field_diagonal_deg"))) * RAD_ARCSEC * 1e-6
-    across, (uniform, axial) = math.hypot(*found.boresight_arcsec_per_k[2]), found.scale_ppm_per_k[:2]
+    across, (uniform, axial) = math.hypot(*sensitivity.boresight_arcsec_per_k[2]), sensitivity.scale_ppm_per_k[:2]
     along = f"1 K from front to detector: {axial:+.3g} ppm"
-    for what, value, where in (
+    for quantity, value, where in (
         ("line of sight, lens against detector", f"{across:.3g}″/K", "1 K across the housing"),
         ("corner of the field, scale", f"{uniform * corner:+.3g}″/K", f"1 K, uniform: {uniform:+.3g} ppm"),
         ("corner of the field, scale", f"{axial * corner:+.3g}″/K", along),
-        ("field, without shift, scale and roll", f"{found.distortion_arcsec_per_k[0]:.2g}″/K", "1 K, uniform; RMS"),
-        ("best focus", f"{found.focus_um_per_k[0]:+.3g} µm/K", "1 K, uniform"),
+        (
+            "field, without shift, scale and roll",
+            f"{sensitivity.distortion_arcsec_per_k[0]:.2g}″/K",
+            "1 K, uniform; RMS",
+        ),
+        ("best focus", f"{sensitivity.focus_um_per_k[0]:+.3g} µm/K", "1 K, uniform"),
     ):
-        yield Line(clause="thermo_elastic", what=what, value=value, statistic="derivative", conditions=where)
+        yield StatementLine(
+            clause="thermo_elastic", quantity=quantity, value=value, statistic="derivative", conditions=where
+        )
 
 
-def _aberration() -> Line:
-    return Line(
+def _aberration() -> StatementLine:
+    return StatementLine(
         clause="aberration",
-        what="uncorrected, orbit of the Earth about the Sun",
+        quantity="uncorrected, orbit of the Earth about the Sun",
         value=_arcsec(RAD_ARCSEC * float(attitude_of_velocity([EARTH_KM_PER_S, 0.0, 0.0])[1])),
         statistic="largest",
         conditions="speed of 29.785 km/s across the line of sight",
     )
 
 
-def _detection(number: _Numbers, at: str) -> Iterator[Line]:
+def _detection(number: Numbers, sampled_sky: str) -> Iterator[StatementLine]:
     half = " × ".join(f"±{0.5 * number(f'field_{side}_deg'):.2f}°" for side in ("width", "height"))
     limit, complete = (f"{number(f'{name}_magnitude_mag'):.2f} mag" for name in ("limiting", "complete"))
     mean, worst = (f"{number(f'stars_{name}_per_frame'):.1f}" for name in ("mean", "worst"))
     brightest, alarms = f"{number('saturation_mag'):.2f} mag", f"{number('false_alarms_per_frame'):.2g}"
-    for clause, what, value, statistic in (
+    for clause, quantity, value, statistic in (
         ("field", "about the X and Y axes", half, ""),
         ("detection", "limiting magnitude", limit, "half of the stars detected"),
         ("detection", "limiting magnitude", complete, "90 % of the stars detected"),
@@ -248,12 +258,12 @@ def _detection(number: _Numbers, at: str) -> Iterator[Line]:
         ("false_star", "by noise, in a frame", alarms, "expectation"),
         ("bandwidth", "update rate", f"{number('update_rate_hz'):.3g} Hz", "exposures without a gap"),
     ):
-        where = at if "sky" in statistic else "one frame"
-        yield Line(clause=clause, what=what, value=value, statistic=statistic, conditions=where)
+        where = sampled_sky if "sky" in statistic else "one frame"
+        yield StatementLine(clause=clause, quantity=quantity, value=value, statistic=statistic, conditions=where)
 
 
-SAME = ("instrument", "passband", "centroid", "window_px", "threshold_sigma")
-"""Settings that make a sensor, in `camera` and `flight` alike."""
+SENSOR_SETTINGS = ("instrument", "passband", "centroid", "window_px", "threshold_sigma")
+"""Settings of the sensor, common to `camera` and `flight`."""
 
 
 def read_flight(folder: Path, config: Any) -> Mapping[str, Any]:
@@ -268,9 +278,9 @@ def read_flight(folder: Path, config: Any) -> Mapping[str, Any]:
     if not isinstance(summary, dict) or summary.get("experiment") != "flight":
         name = summary.get("experiment") if isinstance(summary, dict) else None
         raise ConfigError(f"{path}: is of {name!r}; --flight takes the folder of a run of flight")
-    own = without_paths(config.model_dump(mode="json", include=set(SAME)))
-    flown = flat({key: value for key, value in summary.get("config", {}).items() if key in SAME})
-    for key, value in flat(own).items():
+    stated = without_paths(config.model_dump(mode="json", include=set(SENSOR_SETTINGS)))
+    flown = flat({key: value for key, value in summary.get("config", {}).items() if key in SENSOR_SETTINGS})
+    for key, value in flat(stated).items():
         if key in flown and flown[key] != value:
             raise ConfigError(
                 f"{path}: is from another sensor: {key} = {flown[key]!r} there, {value!r} here; run flight with this "
@@ -280,49 +290,64 @@ def read_flight(folder: Path, config: Any) -> Mapping[str, Any]:
     return results
 
 
-def _number(value: Any, key: str = "value") -> float:
-    """A number, plain or with its uncertainty (``key``); NaN where there is none."""
-    value = value.get(key) if isinstance(value, dict) else value if key == "value" else None
-    return float(value) if isinstance(value, int | float) else math.nan
+def _field(results: Mapping[str, Any], name: str, part: str = "value") -> Any:
+    """Value or uncertainty of SECTION.FIELD in the results of a summary; None where they lack it."""
+    section, _, field = name.partition(".")
+    return results.get(section, {}).get(field, {}).get(part)
 
 
-def _pair(value: Any, key: str = "value") -> list[float]:
-    """Numbers across and about the boresight."""
-    return [_number(part, key) for part in (value.values() if isinstance(value, dict) else value or ())]
+def _components(values: Mapping[str, float | None] | None) -> list[float]:
+    """Across and about the boresight; NaN for a missing number."""
+    return [math.nan if value is None else value for value in (values or {}).values()]
 
 
-def _flight(results: Mapping[str, Any], folder: str) -> Iterator[Line]:
-    where, what = f"orbit of the flight {folder}", "attitude over the flight"
-    for name, term in results.get("terms", {}).items():
-        for key, derivation in (("measured_arcsec", RENDERED), ("predicted_arcsec", ANALYSIS)):
-            values, spread = _pair(term.get(key)), _pair(term.get(key), "uncertainty")
-            if name in CLAUSES and any(map(math.isfinite, values)):
-                rms = f"RMS ± {_arcsec(*spread)} (1σ)" if any(map(math.isfinite, spread)) else "RMS"
-                value = _arcsec(*values)
-                yield Line(clause=name, what=what, value=value, statistic=rms, conditions=where, derivation=derivation)
-    for life, age in zip(("begin of life", "end of life"), results.get("lives", ()), strict=False):
-        yield Line(
+def _flight(results: Mapping[str, Any], folder: str) -> Iterator[StatementLine]:
+    where, quantity = f"orbit of the flight {folder}", "attitude over the flight"
+    for name, derivation in (("terms.measured_arcsec", RENDERED), ("terms.predicted_arcsec", ANALYSIS)):
+        errors = _field(results, name, "uncertainty") or {}
+        for term, components in (_field(results, name) or {}).items():
+            values, sigma = _components(components), _components(errors.get(term))
+            if term in CLAUSES and any(map(math.isfinite, values)):
+                yield StatementLine(
+                    clause=term,
+                    quantity=quantity,
+                    value=_arcsec(*values),
+                    statistic=f"RMS ± {_arcsec(*sigma)} (1σ)" if any(map(math.isfinite, sigma)) else "RMS",
+                    conditions=where,
+                    derivation=derivation,
+                )
+    totals, dark_e = (_field(results, f"ageing.{name}") or () for name in ("total_arcsec", "dark_e"))
+    for age, total, dark in zip(("begin of life", "end of life"), totals, dark_e, strict=False):
+        yield StatementLine(
             clause="total",
-            what=f"{what}, {life}",
-            value=_arcsec(*_pair(age.get("total_arcsec"))),
+            quantity=f"{quantity}, {age}",
+            value=_arcsec(*_components(total)),
             statistic="RMS, all terms",
-            conditions=f"{where}; {_number(age.get('dark_e')):.3g} e⁻ of dark charge in a pixel",
+            conditions=f"{where}; {dark:.3g} e⁻ of dark charge in a pixel",
         )
 
 
-def _availability(results: Mapping[str, Any], folder: str) -> Iterator[Line]:
-    where = f"orbit of the flight {folder}"
-    for clause, key, what, unit, derivation in (
+def _availability(results: Mapping[str, Any], folder: str) -> Iterator[StatementLine]:
+    for clause, name, quantity, unit, derivation in (
         ("tracking", "available_percent", "availability over the orbit", " %", ANALYSIS),
         ("tracking", "solved_percent", "frames with an attitude, of those not blinded", " %", RENDERED),
-        ("acquisition", "acquired", "successful acquisitions", "", RENDERED),
-        ("acquisition", "acquired_least", "successful acquisitions, lower limit at 90 % confidence", "", RENDERED),
+        ("acquisition", "acquired_fraction", "successful acquisitions", "", RENDERED),
+        (
+            "acquisition",
+            "acquired_lower_limit",
+            "successful acquisitions, lower limit at 90 % confidence",
+            "",
+            RENDERED,
+        ),
         ("acquisition", "wrong_attitudes", "wrong attitudes", "", RENDERED),
     ):
-        value = _number(results.get(key))
-        statistic = "mean" if key != "acquired_least" else "Clopper and Pearson"
-        if math.isfinite(value):
-            text = f"{value:.4g}{unit}"
-            yield Line(
-                clause=clause, what=what, value=text, statistic=statistic, conditions=where, derivation=derivation
+        value = _field(results, f"mission.{name}")
+        if value is not None:
+            yield StatementLine(
+                clause=clause,
+                quantity=quantity,
+                value=f"{value:.4g}{unit}",
+                statistic="Clopper and Pearson" if name == "acquired_lower_limit" else "mean",
+                conditions=f"orbit of the flight {folder}",
+                derivation=derivation,
             )

@@ -3,6 +3,7 @@
 A row: name of the case, call (with a folder of the files below), error, words of the message.
 """
 
+import json
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -18,6 +19,8 @@ from PIL import Image
 from target_frames import HEAD, readout, spots, write
 
 from experiments.budget.settings import BudgetConfig
+from experiments.camera.settings import CameraReportConfig
+from experiments.camera.settings import experiment as camera_experiment
 from experiments.chromatic.own_frames import filter_frames
 from experiments.chromatic.settings import ChromaticConfig
 from experiments.dataset import workers
@@ -30,17 +33,23 @@ from experiments.dataset.settings import DatasetConfig
 from experiments.dataset.truth_files import read_origin, read_record
 from experiments.distortion.own_frames import reduce as distortion
 from experiments.distortion.settings import DistortionConfig
+from experiments.flight.prediction import heated
+from experiments.flight.scenario import build_flight
+from experiments.flight.settings import FlightConfig
 from experiments.harness.config import load_config
 from experiments.harness.outputs import OutputFolder
 from experiments.harness.plotting import equation_svg, wavelength_colour
 from experiments.harness.progress import Progress
 from experiments.harness.range import parse_sweep
 from experiments.harness.tables import Table as OutputTable
+from experiments.harness.what_if import run_sweep
 from experiments.hsfe.own_frames import reduce as hsfe
+from experiments.laboratory.sensor_prediction import predict_camera
 from experiments.lens.command import lens
 from experiments.reduce.command import reduce as reduce_command
 from experiments.reduce.folder import read_folder
 from experiments.reduce.frames_toml import FolderLayout
+from experiments.statement.study import read_flight
 from experiments.temporal.own_frames import own_frames as temporal_test
 from experiments.temporal.own_frames import reduce as temporal
 from experiments.temporal.settings import TemporalConfig
@@ -444,6 +453,111 @@ SURF 2
   DISZ 100
 SURF 3
 """
+# --- Camera: predictions and sweeps
+
+
+TRACKER = {
+    "instrument.lens": "star_tracker_26mm", "instrument.detector": "cmv4000", "instrument.width_px": 800,
+    "instrument.height_px": 800, "instrument.exposure_s": 0.2, "instrument.defocus_mm": 0.0,
+    "instrument.diffraction": "rays", "passband.range_nm": [500.0, 800.0], "sky.attitudes": 20,
+}  # fmt: skip
+
+
+def camera(predict: bool = False, **changes: Any) -> Call:
+    """The settings of a camera; ``predict``: its prediction, or its sweep."""
+
+    def call(_: Path) -> Any:
+        texts = {**TRACKER, **{key.replace("__", "."): value for key, value in changes.items()}}
+        config = load_config(CameraReportConfig, settings=[f"{key}={json.dumps(v)}" for key, v in texts.items()])
+        if predict:
+            return run_sweep(camera_experiment, config, progress=Progress()) if config.sweep else predict_camera(config)
+        return config
+
+    return call
+
+
+CAMERA = [
+    ("noise level", camera(True, centroid="tcog"), ConfigError, "threshold is at the noise level"),
+    ("no star", camera(True, instrument__exposure_s=1e-5, throughput_fraction=0.001), DomainError,
+     "the signal of every star is below the noise"),
+    ("focus", camera(True, instrument__defocus_mm=5.0), DomainError, "stars are far out of focus",
+     "with instrument.defocus_mm = "),
+    ("window", camera(True, instrument__width_px=0, instrument__height_px=0), DomainError, "read at most"),
+    ("rolling shutter", camera(slew__rate_deg_per_s=1.0, instrument__line_time_us=5.0), ConfigError, "global shutter"),
+    ("life", camera(life__years=1.0, life__displacement_dose_tev_per_g=1.0), ConfigError,
+     "depleted_volume_um3 is needed"),
+    ("sweep name", camera(sweep=["exposre_s=0.1:0.2:3"]), ConfigError, "did you mean exposure_s"),
+    ("sweep of frames", camera(sweep=["frames.readouts=3:9:3"]), ConfigError, "does not depend on frames.readouts"),
+    ("sweep range", camera(sweep=["exposure_s=-1:0.2:3"]), ConfigError, "above 0"),
+    ("swept twice", camera(sweep=["exposure_s=0.1:0.2:3", "instrument.exposure_s=0.1:0.3:2"]), ConfigError,
+     "swept twice"),
+    ("sweep size", camera(sweep=["exposure_s=0.1:0.2:100", "threshold_sigma=4:8:5"]), ConfigError, "at most 400"),
+    ("sweep without prediction", camera(True, sweep=["f_number=0.9:1.1:2"]), DomainError, "no value of the sweep"),
+    ("trail", camera(True, sweep=["slew.rate_deg_per_s=0.8:1.2:2"], window_px=19, centroid="cog"), DomainError,
+     "centroid = cog with a window of 7 px"),
+]  # fmt: skip
+
+# --- Flight: orbits, laws, tables
+
+
+def flight_plan(**tables: Any) -> Call:
+    return lambda _: build_flight(FlightConfig(**tables))
+
+
+def temperatures(text: str) -> Call:
+    """The flight with a table of temperatures."""
+
+    def call(folder: Path) -> Any:
+        (folder / "t.csv").write_text(text)
+        return flight_plan(temperature={"file": str(folder / "t.csv")})(folder)
+
+    return call
+
+
+def elements(folder: Path) -> Any:
+    """Two-line elements with a wrong checksum."""
+    pytest.importorskip("sgp4")
+    return flight_plan(orbit={"tle": ("1 25544U" + " " * 60 + "5", "2 25544" + " " * 61 + "5")})(folder)
+
+
+FLIGHT = [
+    ("perigee", lambda _: load_config(FlightConfig, settings=["orbit.perigee_km=-5"]), ConfigError, "perigee_km",
+     "100"),
+    ("law", lambda _: load_config(FlightConfig, settings=["attitude.law=table"]), ConfigError, "attitude.file",
+     "give both, or neither"),
+    ("elements", elements, DomainError, "orbit.tle: two-line elements: ", "checksum"),
+    ("time backwards", temperatures("time_s,mean_k\n0,1\n3000,2\n2000,1\n9000,0\n"), DomainError,
+     "2000 in row 3 is not above 3000"),
+    ("time gap", temperatures("time_s,mean_k\n0,1\n9000,2\n"), DomainError, "a gap of 9000 s"),
+    ("time range", temperatures("time_s,mean_k\n10,1\n200,2\n"), DomainError, "runs from 10 to 200 s; the orbit lasts"),
+    ("column", temperatures("time_s,mean_c\n0,1\n9000,2\n"), DomainError, "no column mean_k"),
+    ("row", temperatures("time_s,mean_k\n0,1\n9000\n"), DomainError, "every row needs 2 numbers"),
+    ("temperature",
+     lambda _: heated(FlightConfig(), np.array([500.0, 0.0, 0.0, 0.0, 0.0])), DomainError, "temperature: "),
+]  # fmt: skip
+
+# --- Statement: the folder of a flight
+
+
+def flown(summary: str = "", **config: Any) -> Call:
+    """The results of a flight in a folder with a summary."""
+
+    def call(folder: Path) -> Any:
+        if summary:
+            (folder / "summary.json").write_text(summary.replace("CONFIG", json.dumps(config)))
+        return read_flight(folder, CameraReportConfig())
+
+    return call
+
+
+STATEMENT = [
+    ("no summary", flown(), ConfigError, "summary.json", "--flight takes the folder"),
+    ("no JSON", flown("["), ConfigError, "not a run's summary"),
+    ("another experiment", flown('{"experiment": "camera", "results": {}}'), ConfigError, "is of 'camera'"),
+    ("another sensor", flown('{"experiment": "flight", "config": CONFIG}', window_px=9), ConfigError,
+     "another sensor: window_px = 9 there, 13 here"),
+]  # fmt: skip
+
 # --- Twin: folders of frames
 
 
@@ -478,7 +592,16 @@ FILES = {
     "chip.toml": "",
     "doublet.zmx": DOUBLET,
 }
-SECTIONS = {"dataset": DATASETS, "own frames": FRAMES, "lens": LENSES, "twin": TWIN, "harness": HARNESS}
+SECTIONS = {
+    "dataset": DATASETS,
+    "own frames": FRAMES,
+    "lens": LENSES,
+    "camera": CAMERA,
+    "flight": FLIGHT,
+    "statement": STATEMENT,
+    "twin": TWIN,
+    "harness": HARNESS,
+}
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from experiments.dataset.settings import DatasetConfig
 from experiments.flight.frames import FlightCamera
 from experiments.flight.prediction import build_budget
 from experiments.flight.scenario import build_flight
-from experiments.flight.settings import Config as FlightConfig
+from experiments.flight.settings import FlightConfig
 from experiments.harness.progress import Progress
 from experiments.skycal import experiment as skycal
 from experiments.skycal.settings import SkycalConfig

@@ -4,13 +4,7 @@ import json
 
 import pytest
 
-from experiments.camera.settings import Config, main
-
-ONE = Config(
-    instrument={"lens": "star_tracker_26mm", "detector": "cmv4000", "width_px": 800, "height_px": 800},
-    passband={"range_nm": [500.0, 800.0]},
-    sky={"attitudes": 30},
-)
+from experiments.camera.settings import main
 
 
 @pytest.mark.slow

@@ -1,11 +1,11 @@
-"""Guide stars by hand, and lost in space where there is nothing to find."""
+"""Guide stars counted star by star; lost in space with many stars and with too few."""
 
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from experiments.camera.guides import LEAST, coverage, fraction_measured, lost_in_space
-from experiments.camera.settings import Config
+from experiments.camera.guides import GUIDE_COUNTS, coverage, fraction_measured, lost_in_space
+from experiments.camera.settings import CameraReportConfig
 from experiments.laboratory.sensor_prediction import predict_camera
 from optics.validate import parse_model
 from render.catalogue.temperature import star_temperature
@@ -24,14 +24,14 @@ TRACKER = {
 
 @pytest.fixture(scope="module")
 def tracker():
-    return predict_camera(parse_model(Config, TRACKER, "test"))
+    return predict_camera(parse_model(CameraReportConfig, TRACKER, "test"))
 
 
 def test_guide_stars_are_counted_one_by_one(tracker):
-    """Frame by frame: inside the detector by half a window, nobody near, not too bright and not too faint."""
+    """Guide stars: half a window inside the detector, alone in their window, between both magnitudes."""
     found, view, config = coverage(tracker), tracker.view, tracker.config
-    every = load_catalogue(config.catalogue)
-    stars = every.select(np.flatnonzero(every.magnitude <= view.depth_mag))
+    catalogue = load_catalogue(config.catalogue)
+    stars = catalogue.select(np.flatnonzero(catalogue.magnitude <= view.depth_mag))
     rate = tracker.state.electrons_per_s(stars.magnitude, star_temperature(stars), np.zeros(len(stars)))
     magnitude = -2.5 * np.log10(rate * config.instrument.exposure_s / tracker.electrons(np.array([0.0]), 5800.0)[0])
     window_rad, tree = 13.0 * 0.0055 / 25.0, cKDTree(stars.direction)
@@ -41,20 +41,20 @@ def test_guide_stars_are_counted_one_by_one(tracker):
         alone = np.count_nonzero(magnitude[near] < magnitude[star] + 3.0) == 1
         inside = min(x, y) > 5.5 and max(x, y) < 793.5
         counts[frame] += inside and alone and found.guide_brightest_mag <= magnitude[star] <= found.guide_faintest_mag
-    assert found.guides_mean_per_frame == pytest.approx(counts.mean())
-    shares = [100.0 * np.mean(counts >= least) for least in LEAST]
-    assert found.coverage_percent == pytest.approx(shares)
+    assert found.guide_stars_mean_per_frame == pytest.approx(counts.mean())
+    sky_percent = [100.0 * np.mean(counts >= least) for least in GUIDE_COUNTS]
+    assert found.sky_percent == pytest.approx(sky_percent)
     assert found.guide_faintest_mag < tracker.value("limiting_magnitude_mag")
 
 
 @pytest.mark.reference
-def test_a_good_tracker_is_not_lost_and_one_that_sees_nothing_is(tracker):
+def test_lost_in_space_identification_and_a_field_that_is_too_narrow(tracker):
     pytest.importorskip("tetra3rs")
     found = lost_in_space(tracker)
-    assert found.lost_attitudes == 10
+    assert found.attitudes == 10
     assert found.lost_success_percent >= 90.0
-    assert found.lost_wrong_percent == 0.0
+    assert found.wrong_percent == 0.0
     assert fraction_measured(0, 10).uncertainty == pytest.approx(0.1)
     narrow = {"width_px": 100, "height_px": 100}
-    small = parse_model(Config, {**TRACKER, "instrument": {**TRACKER["instrument"], **narrow}}, "test")
-    assert "too narrow" in lost_in_space(predict_camera(small)).lost_refusal
+    small = parse_model(CameraReportConfig, {**TRACKER, "instrument": {**TRACKER["instrument"], **narrow}}, "test")
+    assert "too narrow" in lost_in_space(predict_camera(small)).refusal

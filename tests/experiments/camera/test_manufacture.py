@@ -1,10 +1,10 @@
-"""Lenses as made: against single moves, against the sum of sensitivities, and with nothing moved."""
+"""Manufactured lenses: against the sum of sensitivities, and without tolerances."""
 
 import numpy as np
 import pytest
 
 from experiments.camera.manufacture import manufactured
-from experiments.camera.settings import Config
+from experiments.camera.settings import CameraReportConfig
 from experiments.laboratory.sensor_prediction import predict_camera
 
 EXACT = dict.fromkeys(
@@ -13,7 +13,7 @@ EXACT = dict.fromkeys(
 
 
 def sensor(**tolerances):
-    return Config(
+    return CameraReportConfig(
         instrument={
             "lens": "star_tracker_26mm",
             "detector": "cmv4000",
@@ -33,15 +33,17 @@ def test_a_decentre_alone_is_predicted_by_its_sensitivities():
     """Uncalibrated distortion is linear in small moves: RMS over n lenses within 5 sigma of the sum of squares."""
     lenses = 12
     found = manufactured(predict_camera(sensor(lenses=lenses, decentre_um=5.0)), {"nea_arcsec": (1e3, False)})
-    assert (found.built_lenses, found.built_lost, found.built_yield) == (lenses, 0, 1.0)
+    assert (found.lenses, found.failed_lenses, found.yield_fraction) == (lenses, 0, 1.0)
     # a mean square of at least two independent moves per lens scatters by at most its own over sqrt(lenses)
-    assert (found.built_rms_arcsec / found.built_linear_arcsec) ** 2 == pytest.approx(1.0, abs=5.0 / np.sqrt(lenses))
+    assert (found.distortion_rms_arcsec / found.distortion_rss_arcsec) ** 2 == pytest.approx(
+        1.0, abs=5.0 / np.sqrt(lenses)
+    )
     assert found.offenders[0].startswith("decentre")
 
 
 def test_exact_lenses_are_the_nominal_one():
     prediction = predict_camera(sensor(lenses=2, refocused=False, focus_um=1e-9))
     found = manufactured(prediction, {"nea_arcsec": (1e-6, False)})
-    assert found.built_yield == 0.0
-    np.testing.assert_allclose(found.built_arcsec[:2, 0], found.built_nominal_arcsec[:2], rtol=1e-6)
-    assert found.built_rms_arcsec < 1e-6
+    assert found.yield_fraction == 0.0
+    np.testing.assert_allclose(found.error_arcsec[:2, 0], found.nominal_arcsec[:2], rtol=1e-6)
+    assert found.distortion_rms_arcsec < 1e-6

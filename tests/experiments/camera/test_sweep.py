@@ -1,4 +1,4 @@
-"""Sweeps of the camera: closed forms, crossings, refusals, and the command."""
+"""Sweeps of the camera: closed forms, crossings, and the command."""
 
 import json
 
@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from astropy.table import Table
 
-from experiments.camera.settings import Config, experiment, main
+from experiments.camera.settings import CameraReportConfig, experiment, main
 from experiments.harness.progress import Progress
 from experiments.harness.range import quantity_of
 from experiments.harness.what_if import _finer, crossing, run_sweep
-from optics.errors import ConfigError, DomainError
 from optics.validate import parse_model
 
 TRACKER = {
@@ -25,7 +24,7 @@ STILL = {"dark_current_e_per_s": 0.0, "dark_spread_e_per_s": 0.0, "hot_fraction"
 
 
 def study(*sweep, **tables):
-    config = parse_model(Config, {**TRACKER, "sweep": sweep, **tables}, "test")
+    config = parse_model(CameraReportConfig, {**TRACKER, "sweep": sweep, **tables}, "test")
     return run_sweep(experiment, config, progress=Progress())
 
 
@@ -50,29 +49,6 @@ def test_stars_that_trail():
     assert 3.0 < trail_px < 15.0
     assert 1.5 < nea[1] / nea[0] < nea[2] / nea[0]
     assert "too much for window_px = 19 px" in found["points"][3].refusal
-    with pytest.raises(DomainError, match="centroid = cog with a window of 7 px"):
-        study("slew.rate_deg_per_s=0.4:1.2:2", window_px=19, **quiet | {"centroid": "cog"})
-
-
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        ({"slew": {"rate_deg_per_s": 1.0}, "instrument": {"line_time_us": 5.0}}, "global shutter"),
-        ({"sweep": ["exposre_s=0.1:0.2:3"]}, "did you mean exposure_s"),
-        ({"sweep": ["frames.readouts=3:9:3"]}, "does not depend on frames.readouts"),
-        ({"sweep": ["exposure_s=-1:0.2:3"]}, "above 0"),
-        ({"sweep": ["exposure_s=0.1:0.2:3", "instrument.exposure_s=0.1:0.3:2"]}, "swept twice"),
-        ({"sweep": ["exposure_s=0.1:0.2:100", "threshold_sigma=4:8:5"]}, "at most 400"),
-    ],
-)
-def test_sweep_refused(settings, words):
-    with pytest.raises(ConfigError, match=words):
-        parse_model(Config, settings, "test")
-
-
-def test_no_point_at_all():
-    with pytest.raises(DomainError, match="no value of the sweep"):
-        study("f_number=0.9:1.1:2")
 
 
 @pytest.mark.parametrize(
@@ -89,7 +65,7 @@ def test_the_name_of_a_key_ends_in_its_unit(key, name, unit):
 
 
 @pytest.mark.slow
-def test_the_command_writes_all_of_it(sensor_file, tmp_path, capsys):
+def test_files_and_output_of_a_sweep(sensor_file, tmp_path, capsys):
     sensor, out = sensor_file("update_rate_hz = 4.0\nfocus_shift_um = 50.0"), tmp_path / "out"
     line = ["--sensor", str(sensor), "--set", "sky.attitudes=20", "--sweep", "exposure_s=0.2:0.3:2", "--out", str(out)]
     assert main(line, own_process=False) == 0
@@ -102,10 +78,10 @@ def test_the_command_writes_all_of_it(sensor_file, tmp_path, capsys):
     assert every["nea_arcsec"][1] == results["points"]["nea_arcsec"]["value"][1]
     page = (out / "report.html").read_text()
     assert "1 of 2 points meet the requirement" in page
-    assert "focus_shift_um" in page  # asked, and said not to be judged
+    assert "focus_shift_um" in page  # required, stated as not judged
     shown = capsys.readouterr().out
     assert "Misses" in shown
-    assert "update_rate" in shown  # what is missed, by name
+    assert "update_rate" in shown
     assert max(map(len, shown.splitlines())) <= max(80, len(str(out)) + 24)
 
 

@@ -11,7 +11,7 @@ from calib.attitude.attitude_solution import solve_wahba
 from experiments.flight.loop import by_budget
 from experiments.flight.prediction import Budget, build_budget
 from experiments.flight.scenario import build_flight
-from experiments.flight.settings import Config
+from experiments.flight.settings import FlightConfig
 from optics.attitude import attitude_error_arcsec
 from optics.field_map import fit_field_map
 from optics.stellar_aberration import aberrated
@@ -24,9 +24,9 @@ GROWTH = 2e-4
 
 @pytest.fixture(scope="module")
 def budget():
-    """A small old tracker with many hot pixels, without a thermal state; an even growth of the image is put in."""
+    """A small aged tracker with many hot pixels and a uniform growth of the image as its thermal sensitivity."""
     chip = {"lens": "star_tracker_26mm", "detector": "cmv4000", "width_px": 700, "height_px": 700, "exposure_s": 0.2}
-    config = Config(
+    config = FlightConfig(
         instrument={**chip, "defocus_mm": 0.0, "diffraction": "rays"},
         passband={"range_nm": [500.0, 800.0]},
         detector={"hot_fraction": 2e-3},
@@ -36,20 +36,19 @@ def budget():
         aberration={"corrected": "earth"},
         life={"darkened_glass": 0.0, "contamination": 0.2},
     )
-    made = build_budget(config, build_flight(config), old=True)
-    direction = made._map.direction
-    away = made._map.pixel_px - made.model.geometry.centre_px
-    made.__dict__["sensitivity"] = {"mean_k": fit_field_map(direction, GROWTH * away)}
-    return made
+    budget = build_budget(config, build_flight(config), old=True)
+    offset_px = budget._map.pixel_px - budget.model.geometry.centre_px
+    budget.__dict__["sensitivity"] = {"mean_k": fit_field_map(budget._map.direction, GROWTH * offset_px)}
+    return budget
 
 
 @pytest.fixture(scope="module")
-def seen(budget):
-    """An attitude with stars enough, and what is predicted of it."""
+def predicted(budget):
+    """An attitude with enough stars, and its predicted errors."""
     for attitude in Rotation.random(100, rng=np.random.default_rng(3)):
-        found = budget.errors_of(attitude, REST, TIME_S, state_k=np.array([3.0, 0.0, 0.0, 0.0, 0.0]))
-        if found.available and found.stars > 9.0:
-            return attitude, found
+        errors = budget.errors_of(attitude, REST, TIME_S, state_k=np.array([3.0, 0.0, 0.0, 0.0, 0.0]))
+        if errors.available and errors.stars > 9.0:
+            return attitude, errors
     raise AssertionError
 
 
@@ -61,80 +60,80 @@ def stars_of(budget, attitude):
 
 
 @pytest.mark.slow
-def test_random_errors_are_the_scatter_of_attitudes(budget, seen):
+def test_random_errors_are_the_scatter_of_attitudes(budget, predicted):
     """3000 draws; a star with a bad pixel in its window is left out."""
-    attitude, told = seen
+    attitude, errors = predicted
     rows, v, (noise, pixel, spot, _) = stars_of(budget, attitude)
     fit = (1.0 - 2e-3 - budget.nominal.detector.dead_fraction) ** (WINDOW * WINDOW)
-    assert told.stars == pytest.approx(fit * len(v))
+    assert errors.stars == pytest.approx(fit * len(v))
     weight = 1.0 / (noise**2 + budget.unmodelled_px2(rows, v))
-    rng, place = np.random.default_rng(5), budget.model.project(v)
-    for sigma, square in ((noise, told.noise_arcsec2), (pixel, told.pixel_arcsec2), (spot, told.spot_arcsec2)):
-        pixel_px = place + sigma[:, None] * rng.standard_normal((3000, len(v), 2))
+    rng, position_px = np.random.default_rng(5), budget.model.project(v)
+    for sigma, square in ((noise, errors.noise_arcsec2), (pixel, errors.pixel_arcsec2), (spot, errors.spot_arcsec2)):
+        pixel_px = position_px + sigma[:, None] * rng.standard_normal((3000, len(v), 2))
         shift = budget.model.unproject(pixel_px.reshape(-1, 2)).reshape(3000, -1, 3) - v
-        lit = (rng.random((3000, len(v))) < fit) * weight
-        error = [RAD_ARCSEC * attitude_of_shifts(v, w, moved) for w, moved in zip(lit, shift, strict=True)]
+        weights = (rng.random((3000, len(v))) < fit) * weight
+        error = [RAD_ARCSEC * attitude_of_shifts(v, *draw) for draw in zip(weights, shift, strict=True)]
         np.testing.assert_allclose(np.sqrt(np.mean(np.square(error), axis=0)), np.sqrt(square), rtol=0.08)
 
 
-def test_known_shifts_turn_the_attitude_their_way(budget, seen):
-    """Colour and what the camera model leaves; an image that grew by 6e-4; a velocity that is not all known."""
-    attitude, told = seen
+def test_systematic_shifts_rotate_the_attitude(budget, predicted):
+    """Colour and residual distortion; an image grown by 6e-4; an error of the velocity."""
+    attitude, errors = predicted
     rows, v, (noise, _, _, shift) = stars_of(budget, attitude)
     sigma = np.sqrt(noise**2 + budget.unmodelled_px2(rows, v))
-    place = budget.model.project(v)
-    away = place - budget.model.geometry.centre_px
-    for moved, expected in ((shift, told.fov_arcsec), (3.0 * GROWTH * away, told.thermal_arcsec)):
-        solved = solve_wahba(budget.model.unproject(place + moved), v, sigma_rad=budget.pixel_rad * sigma)
+    position_px = budget.model.project(v)
+    growth_px = 3.0 * GROWTH * (position_px - budget.model.geometry.centre_px)
+    for shift_px, expected in ((shift, errors.fov_arcsec), (growth_px, errors.thermal_arcsec)):
+        solved = solve_wahba(budget.model.unproject(position_px + shift_px), v, sigma_rad=budget.pixel_rad * sigma)
         error = attitude_error_arcsec(solved.rotation, Rotation.identity())
         np.testing.assert_allclose(expected, error, atol=0.02 * np.abs(error).max())
     stars, flight = np.array(budget.guides.direction[rows]), budget.flight
     true = attitude.apply(aberrated(stars, flight.velocity_km_per_s(TIME_S)))
     solved = solve_wahba(true, aberrated(stars, flight.known_velocity_km_per_s(TIME_S)))
     error = attitude_error_arcsec(solved.rotation, attitude)
-    np.testing.assert_allclose(told.aberration_arcsec[:2], error[:2], atol=0.02 * np.abs(error).max())
+    np.testing.assert_allclose(errors.aberration_arcsec[:2], error[:2], atol=0.02 * np.abs(error).max())
 
 
-def test_the_sensor_of_a_loop_errs_as_the_budget(budget, seen):
-    """Thirty looks, 11 s apart, of 20 frames each: noise is new in every frame, what pixels do in every look."""
-    attitude, told = seen
-    sensor, looks, frames = by_budget(budget.config, budget=budget), 30, 20
-    found = [[sensor(attitude, REST, TIME_S + 11.0 * k + 0.01 * n) for n in range(frames)] for k in range(looks)]
-    error = np.array([[attitude_error_arcsec(one.attitude, attitude) for one in look] for look in found])
-    noise2, static2 = told.noise_arcsec2, told.static_arcsec2
+def test_the_sensor_of_a_loop_errs_as_the_budget(budget, predicted):
+    """30 groups, 11 s apart, of 20 frames: noise is drawn for every frame, spatial errors for every group."""
+    attitude, errors = predicted
+    sensor, groups, frames = by_budget(budget.config, budget=budget), 30, 20
+    readings = [[sensor(attitude, REST, TIME_S + 11.0 * k + 0.01 * n) for n in range(frames)] for k in range(groups)]
+    error = np.array([[attitude_error_arcsec(r.attitude, attitude) for r in group] for group in readings])
+    noise2, static2 = errors.noise_arcsec2, errors.static_arcsec2
     np.testing.assert_allclose(
-        error.var(axis=1, ddof=1).mean(0), noise2, rtol=4.0 * np.sqrt(2.0 / looks / (frames - 1))
+        error.var(axis=1, ddof=1).mean(0), noise2, rtol=4.0 * np.sqrt(2.0 / groups / (frames - 1))
     )
-    each = error.mean(1) - [
-        budget.aberration_arcsec(TIME_S + 11.0 * k, attitude) + told.fov_arcsec + budget.bias_arcsec()
-        for k in range(looks)
+    static = error.mean(1) - [
+        budget.aberration_arcsec(TIME_S + 11.0 * k, attitude) + errors.fov_arcsec + budget.bias_arcsec()
+        for k in range(groups)
     ]
-    of_look2 = static2 + noise2 / frames
-    assert np.all(np.abs(each.mean(0)) < 4.0 * np.sqrt(of_look2 / looks))
-    np.testing.assert_allclose((each**2).mean(0), of_look2, rtol=4.0 * np.sqrt(2.0 / looks))
-    np.testing.assert_allclose(np.diag(found[0][0].covariance_rad2) * RAD_ARCSEC**2, noise2 + static2, rtol=1e-6)
+    group2 = static2 + noise2 / frames
+    assert np.all(np.abs(static.mean(0)) < 4.0 * np.sqrt(group2 / groups))
+    np.testing.assert_allclose((static**2).mean(0), group2, rtol=4.0 * np.sqrt(2.0 / groups))
+    np.testing.assert_allclose(np.diag(readings[0][0].covariance_rad2) * RAD_ARCSEC**2, noise2 + static2, rtol=1e-6)
 
 
 @pytest.mark.slow
 def test_a_lens_warmer_by_three_kelvin_moves_stars_by_three_times_its_sensitivity(budget):
-    """The differences are of one kelvin to either side; a shift of the mean temperature is nearly linear."""
+    """The sensitivity is a central difference of one kelvin; the response to the mean temperature is nearly linear."""
     warm = SimpleNamespace(thermal=SimpleNamespace(values_k=np.array([[1.0, 0.0, 0.0, 0.0, 0.0]])))
     stub = SimpleNamespace(flight=warm, _map=budget._map, _traced=budget._traced)
-    (told,) = Budget.sensitivity.func(stub).values()
+    (sensitivity,) = Budget.sensitivity.func(stub).values()
     moved = budget._traced(np.array([3.0, 0.0, 0.0, 0.0, 0.0])) - budget._map.pixel_px
     assert np.abs(moved).max() > 0.01
-    np.testing.assert_allclose(3.0 * told.at(budget._map.direction), moved, atol=0.03 * np.abs(moved).max())
+    np.testing.assert_allclose(3.0 * sensitivity.at(budget._map.direction), moved, atol=0.03 * np.abs(moved).max())
 
 
-def test_what_stars_err_by_besides_noise(budget, seen, monkeypatch):
+def test_star_errors_without_noise(budget, predicted, monkeypatch):
     """The camera model's residual, read from its map; colours of a star over the field, the mean of both axes."""
     direction, pixel = budget._map.direction, budget._map.pixel_px
-    left = pixel - budget.model.project(direction)
-    assert np.std(left - budget._residual.at(direction)) < 0.5 * np.std(left)
-    rows, v, _ = stars_of(budget, seen[0])
+    residual_px = pixel - budget.model.project(direction)
+    assert np.std(residual_px - budget._residual.at(direction)) < 0.5 * np.std(residual_px)
+    rows, v, _ = stars_of(budget, predicted[0])
     away = budget.model.project(v) - budget.model.geometry.centre_px
     # an error of the scale, root mean square 1e-3: half of the square of the distance along an axis
-    monkeypatch.setitem(budget.__dict__, "_alike", (budget._alike[0], 1e-3))
+    monkeypatch.setitem(budget.__dict__, "_common_error", (budget._common_error[0], 1e-3))
     assert budget.unmodelled_px2(rows, v) == pytest.approx(
         budget.star_error_px[rows] ** 2 + ((1e-3 * away) ** 2).mean(1)
     )
@@ -143,6 +142,6 @@ def test_what_stars_err_by_besides_noise(budget, seen, monkeypatch):
     radius, kelvin = np.hypot(*away.T), float(budget.sky.temperature_k[budget.guides.row[star]])
     shift, spot = budget.colour_px(np.full(4000, kelvin), radius)
     moved = shift[:, None] * away / radius[:, None]
-    expected = (moved**2).mean() + (spot**2).mean() + budget._alike[0]
+    expected = (moved**2).mean() + (spot**2).mean() + budget._common_error[0]
     assert (moved**2).mean() > 0.02 * expected
     assert budget.star_error_px[star] ** 2 == pytest.approx(expected, rel=0.02)

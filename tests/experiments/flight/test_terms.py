@@ -1,4 +1,4 @@
-"""Verdicts on the terms of a flight: held by ratios and slopes of one, failed by others, silent where none is known."""
+"""Verdicts on the terms of a flight: passed for ratios and slopes of 1, failed for others, absent for NaN."""
 
 import math
 
@@ -16,11 +16,11 @@ UNKNOWN = [Measured(value=math.nan, uncertainty=math.nan)] * 2
 
 
 def criteria(ratio=1.0, slope=1.0):
-    """Of terms with the same ratio and slope, known to 0.5 %; of the bias neither is known."""
+    """Criteria for terms of equal ratio and slope, sigma 0.5 %; both NaN for the bias."""
     terms = []
     for name in (*TERMS, "total"):
-        known = [[Measured(value=value, uncertainty=0.005, n=80)] * 2 for value in (ratio, slope)]
-        ratios, slopes = known if name != "bias" else (UNKNOWN, UNKNOWN)
+        numbers = [[Measured(value=value, uncertainty=0.005, n=80)] * 2 for value in (ratio, slope)]
+        ratios, slopes = numbers if name != "bias" else (UNKNOWN, UNKNOWN)
         slopes = slopes if name in ("thermo_elastic", "fov_spatial", "aberration") else UNKNOWN
         size = [Measured(value=1.0, unit="arcsec", uncertainty=0.02, n=80)] * 2
         terms.append(
@@ -35,7 +35,7 @@ def criteria(ratio=1.0, slope=1.0):
     ("wrong", "failed"), [({}, 0), ({"ratio": 1.13}, 2), ({"ratio": 1.5}, 12), ({"slope": -1.0}, 6)]
 )
 def test_verdicts_of_every_known_term_and_component(wrong, failed):
-    """Of 13 %: the total alone, which is held to 10 %; of half as much again: all six terms with a ratio."""
+    """A ratio of 1.13 fails the total alone (limit 10 %), 1.5 fails all six terms with a ratio."""
     verdicts = criteria(**wrong)
     assert len(verdicts) == 18
-    assert sum(one.failed for one in verdicts) == failed
+    assert sum(verdict.failed for verdict in verdicts) == failed

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from experiments.camera.settings import Config as Camera
+from experiments.camera.settings import CameraReportConfig as Camera
 from experiments.chromatic.settings import ChromaticConfig
 from experiments.harness.config import load_config
 from experiments.skycal.settings import SkycalConfig

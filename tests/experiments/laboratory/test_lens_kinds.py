@@ -11,7 +11,7 @@ from refusals import refuses
 from scipy.integrate import quad
 from scipy.special import j0
 
-from experiments.camera.settings import Config as CameraConfig
+from experiments.camera.settings import CameraReportConfig
 from experiments.harness.config import load_config
 from experiments.harness.range import parse_sweep, with_value
 from optics.errors import ConfigError, DomainError
@@ -60,7 +60,7 @@ def measured(tmp_path):
 
 
 def test_ideal_lens_is_in_focus_and_scales_by_the_tangent(ideal):
-    instrument = build_instrument(load_config(CameraConfig, sensor=ideal).instrument)
+    instrument = build_instrument(load_config(CameraReportConfig, sensor=ideal).instrument)
     assert instrument.camera.defocus_mm == 0.0
     assert instrument.focal_length_mm == pytest.approx(50.0, rel=1e-12)
     truth = StarRenderer(instrument.camera).render(star_field(field(0.02, -0.01), 600.0, 1000.0)).truth
@@ -75,7 +75,7 @@ def field(x, y):
 
 
 def test_electrons_by_hand(ideal):
-    instrument = build_instrument(load_config(CameraConfig, sensor=ideal).instrument)
+    instrument = build_instrument(load_config(CameraReportConfig, sensor=ideal).instrument)
     truth = StarRenderer(instrument.camera, exposure_s=0.1).render(star_field(field(0.0, 0.0), 600.0, 1000.0)).truth
     efficiency = float(instrument.detector.quantum_efficiency.interpolate(600.0))
     area_mm2 = np.pi / 4.0 * (50.0 / 8.0) ** 2
@@ -85,7 +85,7 @@ def test_electrons_by_hand(ideal):
 
 def test_diffraction_is_the_airy_pattern_blurred_by_the_spot(ideal):
     """Light of the central pixels against the Hankel transform of pupil, Gaussian spot and diffusion."""
-    config = load_config(CameraConfig, sensor=ideal, settings=["instrument.lens.spot_um=4"]).instrument
+    config = load_config(CameraReportConfig, sensor=ideal, settings=["instrument.lens.spot_um=4"]).instrument
     camera = replace(build_instrument(config).camera, charge_diffusion_px=0.0, diffraction="exact_waves")
     assert camera.blur_px == pytest.approx(4.0 / np.sqrt(2.0) / 5.5)
     image = StarRenderer(camera).render(star_field(camera.nominal_direction([31.0], [31.0], 50.0), 600.0, 1000.0))
@@ -111,7 +111,7 @@ def test_diffraction_is_the_airy_pattern_blurred_by_the_spot(ideal):
 
 
 def test_measured_camera_puts_stars_where_its_model_says(measured):
-    instrument = build_instrument(load_config(CameraConfig, sensor=measured).instrument)
+    instrument = build_instrument(load_config(CameraReportConfig, sensor=measured).instrument)
     camera = instrument.camera
     assert (camera.defocus_mm, camera.charge_diffusion_px) == (0.0, 0.0)
     known = instrument.pixel_map()
@@ -126,16 +126,20 @@ def test_measured_camera_puts_stars_where_its_model_says(measured):
 )
 def test_measured_lens_is_used_as_it_was_measured(measured, key, value):
     with pytest.raises(DomainError, match=r"needs a prescription|was measured in focus"):
-        build_instrument(load_config(CameraConfig, sensor=measured, settings=[f"instrument.{key}={value}"]).instrument)
+        build_instrument(
+            load_config(CameraReportConfig, sensor=measured, settings=[f"instrument.{key}={value}"]).instrument
+        )
 
 
 def test_keys_of_the_lens_table_are_swept(ideal):
-    assert parse_sweep("instrument.lens.f_number=1.4:4:3", CameraConfig).key == "instrument.lens.f_number"
-    assert parse_sweep("f_number=1.4:4:3", CameraConfig).key == "instrument.f_number"  # the outer table's, as ever
-    config = load_config(CameraConfig, sensor=ideal)
+    assert parse_sweep("instrument.lens.f_number=1.4:4:3", CameraReportConfig).key == "instrument.lens.f_number"
+    assert (
+        parse_sweep("f_number=1.4:4:3", CameraReportConfig).key == "instrument.f_number"
+    )  # the outer table's, as ever
+    config = load_config(CameraReportConfig, sensor=ideal)
     lens = configured_lens(with_value(config, "instrument.lens.f_number", 4.0).instrument)
     assert lens.surfaces[lens.stop_index].semi_diameter_mm == pytest.approx(6.25)
-    refuses(ConfigError, "not a table", lambda: with_value(CameraConfig(), "instrument.lens.f_number", 4.0))
+    refuses(ConfigError, "not a table", lambda: with_value(CameraReportConfig(), "instrument.lens.f_number", 4.0))
 
 
 @pytest.mark.parametrize(
