@@ -12,6 +12,7 @@ from optics.light.band import TopHat, band_nodes
 from optics.rays.paraxial import axial_paraxial
 from optics.rays.trace import Rays, trace
 from render.camera import Camera, launch_disk
+from render.plugins.camera_properties import lens_camera_properties
 from render.records import StarField
 
 # columns, rows, pixel pitch [mm], part of the half-diagonal that gets light at all
@@ -118,6 +119,24 @@ def pixel_integrals(x, y, weight, diffusion_px, first_column, first_row, size):
     return (along(y, first_row) * weight[:, None]).T @ along(x, first_column)
 
 
+def path_image(mi, camera, contents, *, spp, seed=0, **sensor):
+    """Irradiance (h, w) of a scene through the lens, by Mitsuba's own path integrator from the detector."""
+    scene = {"type": "scene", "integrator": {"type": "path", "max_depth": 2}, **contents}
+    scene["sensor"] = lens_camera_properties(camera, **sensor)
+    return np.array(mi.render(mi.load_dict(scene), spp=spp, seed=seed), dtype=float)[..., 0]
+
+
+def distant_ball(direction, angle_rad, distance_m=1e6):
+    """A ball of unit radiance and an angular radius, far away."""
+    light = {"type": "area", "radiance": {"type": "uniform", "value": 1.0}}
+    return {
+        "type": "sphere",
+        "center": (direction * distance_m).tolist(),
+        "radius": distance_m * angle_rad,
+        "light": light,
+    }
+
+
 def mean_of(x, y, weight):
     return np.array([weight @ x, weight @ y]) / weight.sum()
 
@@ -125,7 +144,18 @@ def mean_of(x, y, weight):
 @pytest.fixture(scope="session")
 def bench():
     """The functions above."""
-    functions = (bundle, camera_of, focal_length_mm, launched, mean_of, pixel_integrals, stars_at, window)
+    functions = (
+        bundle,
+        camera_of,
+        distant_ball,
+        focal_length_mm,
+        launched,
+        mean_of,
+        path_image,
+        pixel_integrals,
+        stars_at,
+        window,
+    )
     return SimpleNamespace(geometry=GEOMETRY, **{function.__name__: function for function in functions})
 
 

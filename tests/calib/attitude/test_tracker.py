@@ -20,7 +20,6 @@ GEOMETRY = SensorGeometry(width_px=SIDE, height_px=SIDE, pixel_pitch_mm=0.01)
 MODEL = BrownConrady.create(GEOMETRY, focal_length_mm=20.0)
 TRUTH = attitude_from_angles(120.0, 35.0, 200.0)
 RATE = np.array([0.002, -0.001, 0.003])
-PIXEL_ARCSEC = np.degrees(0.01 / 20.0) * 3600.0
 
 
 @pytest.fixture(scope="module")

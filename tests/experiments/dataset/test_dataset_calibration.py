@@ -25,6 +25,7 @@ CONFIG = DatasetConfig(
         lens="star_tracker_26mm",
         detector="cmv4000",
         exposure_s=0.5,
+        diffraction="rays",
         width_px=160,
         height_px=128,
         chip_temperature_c=40.0,

@@ -11,7 +11,7 @@ from calib.measure.detection.footprints import footprint_px
 from experiments.dataset.frame import FrameMaker
 from experiments.dataset.job import frame_record
 from experiments.dataset.scene import build_scene, stars_of
-from experiments.dataset.settings import ConePointing, DatasetConfig, FixedRate, JitterSpectrumConfig, ScanPointing
+from experiments.dataset.settings import ConePointing, DatasetConfig, FixedRate, ScanPointing
 from experiments.dataset.truth import FLAGS, record_from_text
 from optics.frames import field_angles_deg
 from optics.rays.chief_ray import chief_ray_points
@@ -24,10 +24,6 @@ SMALL = {
     "catalogue": CatalogueConfig(faintest_mag=10.0),
     "pointing": ConePointing(ra_deg=56.75, dec_deg=24.12, radius_deg=0.1),
 }
-
-
-SLOW = InstrumentConfig(detector="cmv4000", exposure_s=0.2, width_px=256, height_px=192, line_time_us=1e4)
-SHAKEN = JitterSpectrumConfig(frequency_hz=(1.0, 100.0), psd_x_arcsec2_per_hz=(1e9, 1e9))
 
 
 @pytest.fixture(scope="module")

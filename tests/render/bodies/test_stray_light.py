@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from optics.attitude import attitude_from_angles
 from optics.light.pst import PointSourceTransmittance, write_pst
 from render.bodies.stray_light import EARTH_ALBEDO, StrayLight, band_light, earth_limb_pst, earth_points, limb_pst
-from render.catalogue.motion import earth_observer
+from render.catalogue.motion import Observer, earth_observer
 from render.sensor_file.load import load_star_sensor
 from render.simulator import SkySimulator
 from render.sky.sky import load_sky
@@ -54,7 +54,7 @@ def test_the_sun_gives_its_photons_times_pst_and_efficiency() -> None:
     assert 1.0 < light.full_moon_e_per_s / light.sun_e_per_s / 10.0 ** (-0.4 * 14.02) < 1.2
 
     observer = earth_observer(2020.0)
-    to_sun = -observer.from_sun_au / np.linalg.norm(observer.from_sun_au)
+    to_sun = observer.to_sun
     towards, _ = Rotation.align_vectors([[np.sin(0.5), 0.0, np.cos(0.5)]], [to_sun])
     stray = StrayLight(flat(), light, observer=observer, epoch_year=2020.0)
     found = stray.total(towards)
@@ -63,13 +63,16 @@ def test_the_sun_gives_its_photons_times_pst_and_efficiency() -> None:
     assert stray.total(behind)["sun"] == 0.0
 
 
+def north_of_the_sun(observer: Observer, angle_deg: float) -> Rotation:
+    x, y, z = observer.to_sun
+    return attitude_from_angles(np.degrees(np.arctan2(y, x)), min(np.degrees(np.arcsin(z)) + angle_deg, 89.0))
+
+
 @pytest.mark.slow
 def test_a_frame_holds_the_stray_light(tmp_path) -> None:
     sensor = load_star_sensor("star_tracker_26mm", "cmv4000", window_px=64)
     sky = load_sky(observer="earth", faintest_mag=5.0)
-    to_sun = -sky.observer.from_sun_au / np.linalg.norm(sky.observer.from_sun_au)
-    ra, dec = np.degrees(np.arctan2(to_sun[1], to_sun[0])), np.degrees(np.arcsin(to_sun[2]))
-    attitude = attitude_from_angles(ra, min(dec + 40.0, 89.0))
+    attitude = north_of_the_sun(sky.observer, 40.0)
     table = write_pst(tmp_path / "pst.ecsv", flat(1e-7))
     lit, dark = (SkySimulator(sensor, sky, exposure_s=0.2, stray_light=one).observe(attitude) for one in (table, None))
     wanted = SkySimulator(sensor, sky, stray_light=flat(1e-7)).stray_e_per_s(attitude)
@@ -82,9 +85,7 @@ def test_a_frame_holds_the_stray_light(tmp_path) -> None:
 def test_ghosts_of_the_sun_fall_where_paths_lead_with_the_light_of_the_table() -> None:
     sensor = load_star_sensor("star_tracker_26mm", "cmv4000", window_px=512)
     sky = load_sky(observer="earth", faintest_mag=5.0)
-    to_sun = -sky.observer.from_sun_au / np.linalg.norm(sky.observer.from_sun_au)
-    ra, dec = np.degrees(np.arctan2(to_sun[1], to_sun[0])), np.degrees(np.arcsin(to_sun[2]))
-    attitude, part = attitude_from_angles(ra, dec + 15.0), flat(5e-8)
+    attitude, part = north_of_the_sun(sky.observer, 15.0), flat(5e-8)
     value, error = (np.repeat(v, 2, axis=0) for v in (part.value, part.error))
     both = replace(part, causes=("ghosts", "polish"), value=value, error=error)
     seen = SkySimulator(sensor, sky, stray_light=both, ghosts=True).observe(attitude, layers=True)

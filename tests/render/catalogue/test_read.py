@@ -88,38 +88,6 @@ def test_names_in_other_case_and_ones_own(tmp_path):
     check_hipparcos(read_catalog(file, "hipparcos", columns={"b_v": "colour"}))
 
 
-CDS_README = """\
-I/239               The Hipparcos Catalogue                       (ESA 1997)
-================================================================================
-Byte-by-byte Description of file: hip_main.dat
---------------------------------------------------------------------------------
-   Bytes Format  Units   Label    Explanations
---------------------------------------------------------------------------------
-   1-  6  I6    ---      HIP       Identifier (HIP number)
-   8- 12  F5.2  mag      Vmag      ? Magnitude in Johnson V
-  14- 25  F12.8 deg      RAdeg     *? alpha, degrees (ICRS, Epoch=J1991.25)
-  27- 38  F12.8 deg      DEdeg     *? delta, degrees (ICRS, Epoch=J1991.25)
-  40- 46  F7.2  mas      Plx       ? Trigonometric parallax
-  48- 55  F8.2  mas/yr   pmRA      *? Proper motion mu_alpha.cos(delta), ICRS
-  57- 64  F8.2  mas/yr   pmDE      *? Proper motion mu_delta, ICRS
-  66- 71  F6.3  mag      B-V       ? Johnson B-V colour
---------------------------------------------------------------------------------
-"""
-
-
-def test_cds_with_readme_and_stars_without_a_place(tmp_path):
-    lines = [
-        f"{hip:6d} {v:5.2f} {ra:12.8f} {dec:12.8f} {plx:7.2f} {pm_ra:8.2f} {pm_dec:8.2f} {b_v:6.3f}"
-        for hip, v, ra, dec, plx, pm_ra, pm_dec, b_v in HIPPARCOS
-    ]
-    lines.insert(2, f"{55203:6d} {3.79:5.2f}" + " " * 52 + f"{0.606:6.3f}")  # Hipparcos has no solution for xi UMa
-    (tmp_path / "ReadMe").write_text(CDS_README)
-    (tmp_path / "hip_main.dat").write_text("\n".join(lines) + "\n")
-    catalog = read_catalog(tmp_path / "hip_main.dat", "hipparcos", readme=tmp_path / "ReadMe")
-    check_hipparcos(catalog)
-    assert catalog.notes == ("1 rows without a position left out",)
-
-
 BSC_README = """\
 V/50                Bright Star Catalogue, 5th Revised Ed.     (Hoffleit+, 1991)
 ================================================================================
@@ -157,6 +125,7 @@ def test_bright_star_catalogue(tmp_path):
     (tmp_path / "catalog").write_text("\n".join(lines) + "\n")
     catalog = read_catalog(tmp_path / "catalog", "bright_star", readme=tmp_path / "ReadMe")
     assert catalog.id.tolist() == [2491, 7001, 1852]
+    assert "1 rows without a position left out" in catalog.notes
     np.testing.assert_allclose(np.degrees(catalog.ra_rad), [101.287083, 279.234583, 83.001667], atol=1e-6)
     np.testing.assert_allclose(np.degrees(catalog.dec_rad), [-16.716111, 38.783611, -0.299167], atol=1e-6)
     np.testing.assert_allclose(catalog.proper_motion_rad_per_year[0] / MAS_RAD, [-553, -1205])

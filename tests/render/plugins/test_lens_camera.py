@@ -19,13 +19,6 @@ from render.tracing.tracer import Tracer
 LENSES = ("star_camera_206mm", "star_tracker_26mm", "double_gauss_50mm")
 
 
-def path_image(mi, camera, contents, *, spp, seed=0, **sensor):
-    """Irradiance (h, w) of a scene through the lens."""
-    scene = {"type": "scene", "integrator": {"type": "path", "max_depth": 2}, **contents}
-    scene["sensor"] = lens_camera_properties(camera, **sensor)
-    return np.array(mi.render(mi.load_dict(scene), spp=spp, seed=seed), dtype=float)[..., 0]
-
-
 def marginal_sine(lens):
     """Sine of the angle at which the ray through the rim of the pupil meets the axis, by the forward trace."""
     disk = launch_disk(Camera(lens=lens, width_px=2, height_px=2, pixel_pitch_mm=0.001))
@@ -37,10 +30,10 @@ def marginal_sine(lens):
     return float(np.abs(out.dx))
 
 
-def test_uniform_sky_gives_pi_sine_squared(mi):
+def test_uniform_sky_gives_pi_sine_squared(mi, bench):
     lens = load_lens("star_camera_206mm")
     camera = Camera(lens=lens, width_px=16, height_px=16, pixel_pitch_mm=0.01)
-    image = path_image(mi, camera, {"sky": {"type": "constant", "radiance": 3.0}}, spp=4096)
+    image = bench.path_image(mi, camera, {"sky": {"type": "constant", "radiance": 3.0}}, spp=4096)
     # N = 1e6 rays, of which 75 % hit with nearly equal weight: standard error 6e-4
     assert image.mean() / 3.0 == pytest.approx(np.pi * marginal_sine(lens) ** 2, rel=2.5e-3)
 
@@ -80,14 +73,9 @@ def test_distant_ball_is_seen_where_the_star_is(mi, bench):
     stars = bench.stars_at(whole, 3500.3, 400.2, bands=((lens.design_wavelength_nm, 0.0),))
     camera = bench.window(whole, 14, *Tracer(whole).bundle_means(stars)[0, 0])
     truth = Tracer(camera, sobol_log2_rays=18).render(stars, exposure_s=1.0).truth
-    distance_m, angle = 1e6, 1.5 * 5.5e-3 / 206.2  # 3 px across
-    ball = {
-        "type": "sphere",
-        "center": (stars.direction[0] * distance_m).tolist(),
-        "radius": distance_m * angle,
-        "light": {"type": "area", "radiance": {"type": "uniform", "value": 1.0}},
-    }
-    image = path_image(
+    angle = 1.5 * 5.5e-3 / 206.2  # 3 px across
+    ball = bench.distant_ball(stars.direction[0], angle)
+    image = bench.path_image(
         mi, camera, {"ball": ball}, spp=8192, scene_unit_mm=1000.0, wavelength_nm=lens.design_wavelength_nm
     )
     index = np.arange(14)

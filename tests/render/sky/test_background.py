@@ -12,7 +12,6 @@ from optics.light.spectrum import Blackbody
 from optics.response import Response
 from render.camera import Camera
 from render.catalogue.motion import earth_observer
-from render.plugins.camera_properties import lens_camera_properties
 from render.sky.background import UniformSky, background_map, sky_background
 from render.sky.zodiacal import ecliptic_from_icrs, zodiacal_radiance
 
@@ -26,17 +25,12 @@ def small(name, size=16):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["star_tracker_26mm", pytest.param("double_gauss_50mm", marks=pytest.mark.slow)])
-def test_etendue_against_rays_that_go_backwards(mi, name):
+def test_etendue_against_rays_that_go_backwards(mi, bench, name):
     """The map is made of rays from the sky; Mitsuba's path integrator starts on the detector."""
     camera = small(name)
     etendue = background_map(camera, LINE, nodes=1).etendue_mm2_sr[..., 0].astype(float)
-    scene = {
-        "type": "scene",
-        "sky": {"type": "constant", "radiance": 1.0},
-        "sensor": lens_camera_properties(camera, wavelength_nm=600.0),
-    }
-    integrator = mi.load_dict({"type": "path", "max_depth": 2})
-    rendered = np.array(mi.render(mi.load_dict(scene), integrator=integrator, spp=8192), dtype=float)[..., 0]
+    sky = {"sky": {"type": "constant", "radiance": 1.0}}
+    rendered = bench.path_image(mi, camera, sky, spp=8192, wavelength_nm=600.0)
     ratio = etendue / (rendered * camera.pixel_pitch_mm**2)
     # N = 8192 rays a pixel, of which a third to two thirds arrive: 1.2 % a pixel at worst, so 0.1 % over the 256; the
     # map itself is a grid of 2048 rays, 13 places a side

@@ -10,7 +10,6 @@ import pytest
 from optics.lens.prescription import lens_from_table
 from optics.rays.chief_ray import chief_ray_points
 from render.camera import Camera
-from render.plugins.camera_properties import lens_camera_properties
 from render.tracing.tracer import Tracer
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "lens_file.md"
@@ -78,19 +77,8 @@ def test_light_that_goes_backwards_finds_the_star_s_ball(mi, bench, which):
     whole = Tracer(camera, sobol_log2_rays=14).render(stars, exposure_s=1.0).truth
     small = bench.window(camera, 16, whole.bundle_x_px[0, 0], whole.bundle_y_px[0, 0])
     truth = Tracer(small, sobol_log2_rays=14).render(stars, exposure_s=1.0).truth
-    distance_m, angle = 1e6, 2.0 * PITCH_MM / 400.0  # 4 px across
-    scene = {
-        "type": "scene",
-        "integrator": {"type": "path", "max_depth": 2},
-        "ball": {
-            "type": "sphere",
-            "center": (stars.direction[0] * distance_m).tolist(),
-            "radius": distance_m * angle,
-            "light": {"type": "area", "radiance": {"type": "uniform", "value": 1.0}},
-        },
-        "sensor": lens_camera_properties(small, scene_unit_mm=1000.0, wavelength_nm=600.0),
-    }
-    image = np.array(mi.render(mi.load_dict(scene), spp=4096), dtype=float)[..., 0]
+    ball = bench.distant_ball(stars.direction[0], 2.0 * PITCH_MM / 400.0)  # 4 px across
+    image = bench.path_image(mi, small, {"ball": ball}, spp=4096, scene_unit_mm=1000.0, wavelength_nm=600.0)
     index = np.arange(16)
     at = index @ image.sum(0) / image.sum(), index @ image.sum(1) / image.sum()
     # some 4 x 3 px hit by 4096 rays each, of which six tenths get through: standard error 0.01 px
