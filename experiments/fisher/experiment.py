@@ -7,18 +7,18 @@ from typing import Any
 from experiments.fisher import accuracy
 from experiments.fisher.accuracy import check_config, rendered
 from experiments.fisher.field_of_view import FIELDS, field_sweep
-from experiments.fisher.settings import Config
+from experiments.fisher.settings import FisherConfig
 from experiments.harness.progress import Progress
 from render.engine.random import Streams
 
 SECTIONS = {**accuracy.SECTIONS, "fields": FIELDS}
 
 
-def run(config: Config, *, progress: Progress) -> dict[str, Any]:
+def run(config: FisherConfig, *, progress: Progress) -> dict[str, Any]:
     """Render, calibrate, evaluate; then fields of view on coordinates."""
     instrument = check_config(config)
     streams = Streams(config.seed).child("fisher")
-    found = rendered(config, instrument, streams, progress)
+    sections = rendered(config, instrument, streams, progress)
     with progress.stage("fields of view", total=len(config.field.field_deg)) as stage:
         fields = field_sweep(config.field, streams, advance=stage.advance)
-    return {**found, "fields": fields}
+    return {**sections, "fields": fields}

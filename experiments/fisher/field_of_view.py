@@ -25,11 +25,11 @@ SWEEP_PX, SWEEP_PITCH_MM = 2048, 0.0055
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FieldPoint:
-    """Square field of one width, ideal camera, calibration known; standard deviations by method, in percent of 1."""
+    """Ideal camera of a square field, calibration known: ratios of standard deviations minus 1, in percent."""
 
     field_deg: float = col("Field", "deg", "g")
     # Noise isotropic on the sphere: pixel method over Fisher on the same vectors, Fisher over the truth
-    baseline_bias_percent: Measured = col("Pixel method", "percent")
+    pixel_method_bias_percent: Measured = col("Pixel method", "percent")
     closed_form_percent: float = col("closed form", "percent", ".4f")
     fisher_bias_percent: Measured = col("Fisher", "percent")
     vectors_needed: float = col("Vectors to detect it", format=".2g")
@@ -58,7 +58,7 @@ def _field_point(config: FieldConfig, field_deg: float, streams: Streams) -> Fie
     excess = spherical_noise_ratio(field_deg) - 1.0
     return FieldPoint(
         field_deg=field_deg,
-        baseline_bias_percent=_off_one(baseline),
+        pixel_method_bias_percent=_off_one(baseline),
         closed_form_percent=100.0 * excess,
         fisher_bias_percent=_off_one(fisher),
         vectors_needed=vectors_needed(excess),
@@ -86,15 +86,15 @@ FIELDS = Section(
     figures={
         "field_bias": curves(
             "field_deg",
-            points="baseline_bias_percent pixel_noise_fisher_percent",
+            points="pixel_method_bias_percent pixel_noise_fisher_percent",
             lines="closed_form_percent pixel_noise_quadrature_percent",
             log="x",
             y="Ratio of the methods' σ, minus 1",
         )
     },
     verdicts=[
-        agree(  # of 20 to 40 runs the deviates are Student's t: the chance is 0.2 to 0.7 %
-            "baseline_bias_percent",
+        agree(  # the deviates of 20 to 40 runs are Student's t: false-alarm probability 0.2 to 0.7 %
+            "pixel_method_bias_percent",
             with_="closed_form_percent",
             title="bias of the pixel method against its closed form",
             false_alarm=0.001,

@@ -30,12 +30,12 @@ from optics.errors import ConfigError, DomainError
 from optics.units import ARCSEC_RAD
 
 FEWEST = 10
-"""Star vectors below which an accuracy means little."""
+"""Smallest number of star vectors for an accuracy."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Vectors:
-    """Star vectors of frames that the calibration has not seen: standard deviation per axis."""
+    """Star vectors of frames without use in the calibration: standard deviation per axis."""
 
     sigma_arcsec: float = col("Star vector, σ per axis", "arcsec", ".4f")
     interval_arcsec: Sequence[float] = col("95 % interval", "arcsec", ".4f", "end", shown=False)
@@ -44,12 +44,12 @@ class Vectors:
     centroids_arcsec: float = col("by centroids", "arcsec", ".4f")
     readings_arcsec: float = col("by readings", "arcsec", ".4f")
     pixel_method_arcsec: float = col("Pixel residuals", "arcsec", ".4f")
-    z_score: float = col("Measured against predicted", "sigma", shown=False)
-    # The deviation that an error of 100 % of the standard deviation makes, to first order
-    z_of_whole: float = col("Deviation for an error of 100 %", "sigma", shown=False)
+    deviation_sigma: float = col("Measured against predicted", "sigma", shown=False)
+    # Deviation for an error of 100 % of the standard deviation, to first order
+    full_deviation_sigma: float = col("Deviation for an error of 100 %", "sigma", shown=False)
     calibration_poses: int = col("Poses that calibrated", shown=False)
-    place_px: FloatArray = col("Image", "px", ".2f", "vector axis")
-    left_arcsec: FloatArray = col("Residual", "arcsec", ".2f", "vector axis")
+    position_px: FloatArray = col("Image", "px", ".2f", "vector axis")
+    residual_arcsec: FloatArray = col("Residual", "arcsec", ".2f", "vector axis")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,19 +58,19 @@ class Distribution:
 
     vectors: int = col("Star vectors")
     outliers: int = col("Outliers left out")
-    isotropy_p: float = col("Probability of an ellipse at least as elongated", format=".3g")
-    tails: float = col("Kolmogorov statistic of the tails", format=".3g")
+    isotropy_p_value: float = col("Probability of an ellipse at least as elongated", format=".3g")
+    exponential_statistic: float = col("Kolmogorov statistic of the tails", format=".3g")
 
 
 def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> Reduced:
     """Calibrate with some poses, evaluate the star vectors of the others."""
-    chosen = [one for one in folder.series if one.settings.use == "evaluation"]
+    chosen = [series for series in folder.series if series.settings.use == "evaluation"]
     if not chosen:
         raise ConfigError(
             f"{SETTINGS_FILE}: no series has use = 'evaluation'; star vectors must be evaluated on poses without "
             "use in the calibration"
         )
-    several = next((one for one in chosen if len(one.windows.dn) > 1), None)
+    several = next((series for series in chosen if len(series.windows.dn) > 1), None)
     if several is not None:
         raise ConfigError(
             f"{SETTINGS_FILE}, {several.name}: {len(several.windows.dn)} frames with use = 'evaluation'; a star "
@@ -81,19 +81,20 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> Reduced:
         raise DomainError(f"{SETTINGS_FILE}: {len(chosen)} star vectors for evaluation; at least {FEWEST} are needed")
     fitted = calibrate_poses(folder, methods, ("calibration",))
     model, bench = fitted.calibration.model, fitted.bench
-    evaluated = tuple(reduce_series(folder, one, methods[:1]) for one in chosen)
+    evaluated = tuple(reduce_series(folder, series, methods[:1]) for series in chosen)
     data = pose_data(evaluated, bench.table, methods[0])
-    lost = ~np.isfinite(data.pixel_px).all(1)
-    if lost.any():
+    unmeasured = ~np.isfinite(data.pixel_px).all(1)
+    if unmeasured.any():
         raise DomainError(
-            f"{evaluated[int(np.argmax(lost))].name}: no position by {methods[0]!r}; take another centroid"
+            f"{evaluated[int(np.argmax(unmeasured))].name}: no position by {methods[0]!r}; take another centroid"
         )
-    probability = config.evaluation.outlier_probability
-    off_px = residual_px(model, bench, data.pixel_px, data.reading_rad)
-    vectors = star_vectors(model, bench, data.pixel_px, data.reading_rad)
-    evaluation = vector_accuracy(vectors, off_px, outlier_probability=probability)
-    kept = ~evaluation.outlier
-    angle, centroid = data.reading_rad[kept], data.covariance_px2[kept]
+    evaluation = vector_accuracy(
+        star_vectors(model, bench, data.pixel_px, data.reading_rad),
+        residual_px(model, bench, data.pixel_px, data.reading_rad),
+        outlier_probability=config.evaluation.outlier_probability,
+    )
+    inlier = ~evaluation.outlier
+    angle, centroid = data.reading_rad[inlier], data.covariance_px2[inlier]
     reading, by_pixel = reading_covariance_px2(model, bench, angle), star_vector_by_pixel(model, bench, angle)
     predicted = predicted_scatter(fitted.calibration, bench, angle, centroid + reading)
     scale = float(np.arctan(model.geometry.pixel_pitch_mm / model.value("focal_length_mm")) / ARCSEC_RAD)
@@ -105,24 +106,24 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> Reduced:
             centroids_arcsec=vector_sigma_arcsec(by_pixel, centroid),
             readings_arcsec=vector_sigma_arcsec(by_pixel, reading),
             pixel_method_arcsec=evaluation.pixel_method_arcsec(scale),
-            z_score=predicted.z_score(evaluation.fit.chord_sum_rad2),
-            z_of_whole=float(np.sqrt(2.0 * predicted.satterthwaite)),
+            deviation_sigma=predicted.z_score(evaluation.fit.chord_sum_rad2),
+            full_deviation_sigma=float(np.sqrt(2.0 * predicted.satterthwaite)),
             calibration_poses=len(fitted.series),
-            place_px=data.pixel_px,
-            left_arcsec=evaluation.residual_px * folder.settings.pixel_arcsec,
+            position_px=data.pixel_px,
+            residual_arcsec=evaluation.residual_px * folder.settings.pixel_arcsec,
         ),
         "distribution": Distribution(
-            vectors=int(kept.sum()),
+            vectors=int(inlier.sum()),
             outliers=int(evaluation.outlier.sum()),
-            isotropy_p=evaluation.isotropy.p_value,
-            tails=evaluation.tails.statistic,
+            isotropy_p_value=evaluation.isotropy.p_value,
+            exponential_statistic=evaluation.tails.statistic,
         ),
         "fit": fit_record(fitted, folder),
     }
 
 
 def _scatter_advice(outcome: Outcome) -> str:
-    if outcome.value("z_score") > 0:
+    if outcome.value("deviation_sigma") > 0:
         return (
             "star vectors scatter more than predicted: the star moved during exposures, the table's readings are worse "
             "than stated, or the lens needs more terms"
@@ -142,13 +143,13 @@ own_frames = FramesTest(
             caption="Standard deviation of a star vector per axis (FISHER23, S300 to S500), measured and "
             "predicted from covariances.",
             note="*Pixel residuals*: standard deviation of the residuals on the detector times the angle of a pixel.",
-            figures={"residuals": arrows("place_px", "left_arcsec", frame="frame_size_px")},
+            figures={"residuals": arrows("position_px", "residual_arcsec", frame="frame_size_px")},
             verdicts=[
                 agree(
-                    "z_score",
+                    "deviation_sigma",
                     0.0,
                     error=1.0,
-                    of="z_of_whole",
+                    of="full_deviation_sigma",
                     title="scatter of the star vectors against what covariances predict",
                     advice=_scatter_advice,
                 )

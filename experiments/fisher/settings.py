@@ -68,7 +68,7 @@ class FieldConfig(StrictModel):
     sigma_arcsec: float = Field(default=1.0, gt=0, le=600, description="noise per axis at the boresight")
 
 
-class Config(SingleStarConfig):
+class FisherConfig(SingleStarConfig):
     """Bench and equations of FISHER23, which states no numbers: camera of ACC18, turntable better than CUBE09's."""
 
     table: TurntableConfig = Field(default_factory=_table)
@@ -77,14 +77,14 @@ class Config(SingleStarConfig):
     field: FieldConfig = FieldConfig()
 
     @model_validator(mode="after")
-    def _evaluation_windows(self) -> Config:
+    def _evaluation_windows(self) -> FisherConfig:
         self.check_edge("evaluation.edge_px", self.evaluation.edge_px)
         return self
 
 
 rendered = Experiment(
     name="fisher",
-    config=Config,
+    config=FisherConfig,
     run="experiment:run",
     sections="experiment:SECTIONS",
     axes="accuracy:axes",

@@ -48,7 +48,7 @@ from experiments.turntable.monte_carlo import (
     monte_carlo,
     reading_sweep,
 )
-from experiments.turntable.settings import Config
+from experiments.turntable.settings import TurntableCalibrationConfig
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from render.engine.random import Streams
@@ -75,16 +75,18 @@ UNKNOWNS = {
 """Unknowns of the calibration, the last one on three axes only."""
 REDUCTIONS = {"estimated": "axis angles fitted", "ignored": "axes taken as orthogonal", "known": "axis angles known"}
 LEAST_RUNS = 10
-"""Converged runs of a Monte-Carlo below which it says nothing."""
+"""Smallest number of converged runs of a Monte-Carlo."""
 RENDERED_QUANTILE = 0.998
-"""Of the map error, by the Cramér-Rao bound at the truth: two axes leave a direction in which estimates err so far that
-their own covariance is another one (the principal point's standard deviation 25 px instead of 32 in one of 40 runs)."""
+"""Quantile of the map error of the rendered run, from the Cramér-Rao bound at the truth. The covariance of the estimate
+is no measure: on two axes the errors are so large in one direction that it differs from that at the truth (standard
+deviation of the principal point 25 px instead of 32 px in one of 40 runs)."""
 SECOND_ORDER = 1.15
-"""Of that limit, for what second derivatives add on two axes: 1500 runs of the Monte-Carlo have this quantile at 3.2
-times the RMS of the bound, where normal errors have 2.8."""
+"""Factor of this quantile for second derivatives on two axes: 1500 runs of the Monte-Carlo have it at 3.2 times the RMS
+of the bound, normal errors at 2.8."""
 PULL_SLACK = 0.05
-"""Part that second derivatives may add to the pulls."""
-MODEL_SHARE = 0.1
+"""Relative increase of the pulls that second derivatives may cause."""
+MOST_MODEL_RATIO = 0.1
+"""Largest error of the camera model over the predicted map error."""
 ADVICE = (
     "the axes (reduction.axes), the start of the star (reduction.star_deg), the reading noise or the camera model are "
     "wrong, or too little of the field is visited"
@@ -93,33 +95,33 @@ ADVICE = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Reduction:
-    """One calibration, judged."""
+class TableReduction:
+    """A calibration and its errors."""
 
-    calibration: Calibration  # As the estimator gives it
-    # Error against the traced lens after the best rotation, and what the covariance predicts
+    calibration: Calibration
+    # Error against the traced lens after the best rotation, and its prediction by the covariance
     line_of_sight: LineOfSightMap
-    # (n, 2) Images minus what the calibration says at the angles as read, before any reading error is fitted
+    # (n, 2) Measured minus predicted images at the angles as read, before any reading error is fitted
     residual_px: FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Case:
+class TableCase:
     """Calibration of one table."""
 
     measurement: Measurement  # The rendered run
-    # ``estimated``: non-orthogonality an unknown; ``ignored``: table taken as square; ``known``: taken as it is
-    reductions: Mapping[str, Reduction]
-    # Of noise-free rays at true angles, leans known, so that only the camera model can err
-    model: Reduction
-    coordinates: Coordinates  # The bench with that model as its camera: the truth of the Monte-Carlo
-    bound: TableBound  # Cramer-Rao bound, leans unknown
-    knowledge: Mapping[str, float]  # Bounds of the map error if something were known that is not
-    shares: Mapping[str, float]  # Map error that each cause of noise makes [arcsec, RMS length]; squares add up
-    monte_carlo: MonteCarlo  # Many runs on coordinates
+    # Non-orthogonality of the axes ``estimated``, ``ignored`` (taken as zero) or ``known``
+    reductions: Mapping[str, TableReduction]
+    # Of noise-free rays at true angles, non-orthogonality known: the error of the camera model
+    model: TableReduction
+    coordinates: Coordinates  # The bench with this model as its camera: the truth of the Monte-Carlo
+    bound: TableBound  # Cramer-Rao bound, non-orthogonality unknown
+    bounds_if_known: Mapping[str, float]  # Bounds of the map error [arcsec, RMS length] with prior knowledge
+    noise: Mapping[str, float]  # Map error by each source of noise [arcsec, RMS length]; squares add up
+    monte_carlo: MonteCarlo  # Runs on coordinates
 
 
-def prepare(config: Config) -> Instrument:
+def prepare(config: TurntableCalibrationConfig) -> Instrument:
     """The camera; all checks that need no rendering."""
     check_table("two_axis", config.two_axis, 2)
     check_table("three_axis", config.three_axis, 3)
@@ -133,19 +135,24 @@ def prepare(config: Config) -> Instrument:
     return instrument
 
 
-def one_table(
-    config: Config, instrument: Instrument, traced: TracedMap, key: str, streams: Streams, progress: Progress
-) -> Case:
-    """One table from the rendering to the Monte-Carlo."""
+def table_case(
+    config: TurntableCalibrationConfig,
+    instrument: Instrument,
+    traced: TracedMap,
+    key: str,
+    streams: Streams,
+    progress: Progress,
+) -> TableCase:
+    """A table from the rendering to the Monte-Carlo."""
     name, table = TABLES[key], getattr(config, key)
-    own = streams.child(name)
+    streams = streams.child(name)
     with progress.stage(f"{name} table", total=5) as stage:
-        measurement = measure(config, instrument, table, own, advance=stage.advance)
-        reductions, alone = calibrations(config, instrument, traced, key, table, measurement)
+        measurement = measure(config, instrument, table, streams, advance=stage.advance)
+        reductions, noise_free = calibrations(config, instrument, traced, key, table, measurement)
         stage.advance()
-    model, real = alone.calibration.model, measurement.bench
-    bench, angle = replace(real, table=real.table.averaged(config.frames)), np.array(measurement.visits.true_rad)
-    centroid_px2 = measurement.readings.covariance_px2
+    model, single_frame = noise_free.calibration.model, measurement.bench
+    bench = replace(single_frame, table=single_frame.table.averaged(config.frames))
+    angle, centroid_px2 = np.array(measurement.visits.true_rad), measurement.readings.covariance_px2
     coordinates = Coordinates(
         model=model,
         bench=bench,
@@ -156,28 +163,28 @@ def one_table(
     )
     noise = centroid_px2 + reading_covariance_px2(model, bench, angle)
     with progress.stage(f"{name} Monte-Carlo", total=config.study.runs) as stage:
-        found = monte_carlo(coordinates, traced, own.child("Monte-Carlo"), config.study.runs, advance=stage.advance)
-    if found.runs < LEAST_RUNS:
+        runs = monte_carlo(coordinates, traced, streams.child("Monte-Carlo"), config.study.runs, advance=stage.advance)
+    if runs.runs < LEAST_RUNS:
         raise DomainError(
-            f"{name} table: {found.lost} of {config.study.runs} calibrations of the Monte-Carlo did not converge; "
-            "use better start values (reduction.star_deg, reduction.focal_length_mm) or cover more of the field"
+            f"{name} table: {runs.not_converged} of {config.study.runs} calibrations of the Monte-Carlo did not "
+            "converge; use better start values (reduction.star_deg, reduction.focal_length_mm) or cover more of the field"
         )
-    return Case(
+    return TableCase(
         measurement=measurement,
         reductions=reductions,
-        model=alone,
+        model=noise_free,
         coordinates=coordinates,
         bound=table_bound(model, bench, angle, noise, traced.direction, leans=True),
-        knowledge=knowledge(model, bench, angle, noise, traced.direction),
-        shares=map_error_by_noise(model, bench, angle, centroid_px2, traced.direction),
-        monte_carlo=found,
+        bounds_if_known=bounds_if_known(model, bench, angle, noise, traced.direction),
+        noise=map_error_by_noise(model, bench, angle, centroid_px2, traced.direction),
+        monte_carlo=runs,
     )
 
 
-def knowledge(
+def bounds_if_known(
     model: CameraModel, bench: StarBench, angle_rad: FloatArray, noise_px2: FloatArray, map_direction: FloatArray
 ) -> dict[str, float]:
-    """Bounds of the map error [arcsec, RMS length] of the joint calibration with something of it known."""
+    """Bounds of the map error [arcsec, RMS length] of the joint calibration with some unknowns known."""
     options: dict[str, dict[str, Any]] = {
         "nothing more": {"leans": True},
         "the axes' angles": {"leans": False},
@@ -188,41 +195,43 @@ def knowledge(
             "free": [name for name in model.parameter_names if not name.startswith(("p1", "p2"))],
         },
     }
-    setup = model, bench, angle_rad, noise_px2, map_direction
-    return {label: table_bound(*setup, **known).map_sigma_arcsec for label, known in options.items()}
+    design = model, bench, angle_rad, noise_px2, map_direction
+    return {label: table_bound(*design, **unknowns).map_sigma_arcsec for label, unknowns in options.items()}
 
 
 def calibrations(
-    config: Config,
+    config: TurntableCalibrationConfig,
     instrument: Instrument,
     traced: TracedMap,
     key: str,
     table: TurntableConfig,
     measurement: Measurement,
-) -> tuple[dict[str, Reduction], Reduction]:
+) -> tuple[dict[str, TableReduction], TableReduction]:
     """Calibrations of the rendered run, and of noise-free rays."""
-    start, ahead = start_model(instrument, config.reduction.focal_length_mm), star_direction(*config.reduction.star_deg)
-    believed = build_table(table, config.reduction.axes if key == "two_axis" else None).averaged(config.frames)
-    real = measurement.bench.table.averaged(config.frames)
-    quiet = replace(real, reading_noise_arcsec=np.zeros(len(real.axis)))
+    start = start_model(instrument, config.reduction.focal_length_mm)
+    start_star = star_direction(*config.reduction.star_deg)
+    assumed = build_table(table, config.reduction.axes if key == "two_axis" else None).averaged(config.frames)
+    true = measurement.bench.table.averaged(config.frames)
+    without_noise = replace(true, reading_noise_arcsec=np.zeros(len(true.axis)))
     rendered = measurement.pose_data
     rays = replace(rendered, pixel_px=measurement.bundle_px, reading_rad=measurement.visits.true_rad)
 
-    def judged(data: PoseData, table: TableAxes, *, leans: bool = False) -> Reduction:
-        calibration = calibrate_on_table(data, table, start, leans=leans, start_star=ahead)
+    def reduction(data: PoseData, table: TableAxes, *, leans: bool = False) -> TableReduction:
+        calibration = calibrate_on_table(data, table, start, leans=leans, start_star=start_star)
         bench = calibrated_bench(calibration, table)
-        return Reduction(
+        return TableReduction(
             calibration=calibration,
             line_of_sight=map_error(calibration, traced),
             residual_px=residual_px(calibration.model, bench, data.pixel_px, data.reading_rad),
         )
 
-    check_parity(rendered, believed.nominal, start, ahead)
-    estimated = judged(rendered, believed.nominal, leans=True)
+    check_parity(rendered, assumed.nominal, start, start_star)
+    estimated = reduction(rendered, assumed.nominal, leans=True)
     check_fit(estimated.calibration, f"{TABLES[key]} table", ADVICE)
-    ignored, known, alone = judged(rendered, believed.nominal), judged(rendered, believed), judged(rays, quiet)
-    check_fit(alone.calibration, f"{TABLES[key]} table, camera model against noise-free rays", ADVICE)
-    return {"estimated": estimated, "ignored": ignored, "known": known}, alone
+    ignored, known = reduction(rendered, assumed.nominal), reduction(rendered, assumed)
+    noise_free = reduction(rays, without_noise)
+    check_fit(noise_free.calibration, f"{TABLES[key]} table, camera model against noise-free rays", ADVICE)
+    return {"estimated": estimated, "ignored": ignored, "known": known}, noise_free
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -231,57 +240,58 @@ class LineOfSight:
 
     map_error_arcsec: Sequence[float] = col("Run,", "arcsec", ".3g", "reduction")
     map_predicted_arcsec: float = col("Predicted", "arcsec", ".3g")  # By the estimator's covariance
-    # Stays above the map error with the probability `RENDERED_QUANTILE`
+    # `RENDERED_QUANTILE` of the map error
     map_limit_arcsec: float = col("Limit of chance", "arcsec", ".3g", shown=False)
     map_monte_carlo_arcsec: Measured = col("Monte-Carlo", "arcsec", ".3g")
     map_bound_arcsec: float = col("Cramér–Rao", "arcsec", ".3g")
-    # Model against noise-free rays, leans known
+    # Against noise-free rays, non-orthogonality known
     camera_model_arcsec: float = col("Camera model", "arcsec", ".3g")
-    camera_model_share: float = col("Camera model over predicted", "", ".2g", shown=False)
+    camera_model_ratio: float = col("Camera model over predicted", "", ".2g", shown=False)
     reduced_chi2: Sequence[Measured] = col("χ²/dof,", "", ".3f", "reduction", shown=False)
     principal_point_sigma_arcsec: FloatArray = col("Principal point alone, σ", "arcsec", ".0f", "axis", shown=False)
-    point_over_line: float = col("Principal point over line of sight", "", ".0f", shown=False)  # Per axis
-    lost_runs: int = col("Runs that did not converge", shown=False)
-    places: int = col("Places", shown=False)
+    principal_point_ratio: float = col("Principal point over line of sight", "", ".0f", shown=False)  # Per axis
+    runs_not_converged: int = col("Runs that did not converge", shown=False)
+    positions: int = col("Positions", shown=False)
     centroid_error_px: FloatArray = col("Centroid error, RMS", "px", ".4f", "axis", shown=False)
     centroid_predicted_px: FloatArray = col("Centroid error, predicted", "px", ".4f", "axis", shown=False)
-    line_error_arcsec: FloatArray = col("Error of the line of sight", "arcsec", dims="point", shown=False)
-    line_sigma_arcsec: FloatArray = col("Its predicted σ", "arcsec", dims="point", shown=False)
+    error_map_arcsec: FloatArray = col("Error of the line of sight", "arcsec", dims="point", shown=False)
+    sigma_map_arcsec: FloatArray = col("Its predicted σ", "arcsec", dims="point", shown=False)
 
 
-def line_of_sight(case: Case, pixel_arcsec: float) -> LineOfSight:
+def line_of_sight(case: TableCase, pixel_arcsec: float) -> LineOfSight:
     """The rendered run and the Monte-Carlo of one table."""
-    found, solutions = case.monte_carlo, [one.calibration.solution for one in case.reductions.values()]
-    line, readings = case.reductions["estimated"].line_of_sight, case.measurement.readings
+    solutions = [reduction.calibration.solution for reduction in case.reductions.values()]
+    estimated, readings = case.reductions["estimated"].line_of_sight, case.measurement.readings
     sigma = dict(zip(solutions[0].names, solutions[0].sigma, strict=True))
-    point = pixel_arcsec * np.array([sigma["x0_px"], sigma["y0_px"]])
-    predicted, model = line.predicted_rms_arcsec, case.model.line_of_sight.rms_arcsec
+    principal_point_arcsec = pixel_arcsec * np.array([sigma["x0_px"], sigma["y0_px"]])
+    predicted, model = estimated.predicted_rms_arcsec, case.model.line_of_sight.rms_arcsec
     return LineOfSight(
-        map_error_arcsec=[one.line_of_sight.rms_arcsec for one in case.reductions.values()],
+        map_error_arcsec=[reduction.line_of_sight.rms_arcsec for reduction in case.reductions.values()],
         map_predicted_arcsec=predicted,
         map_limit_arcsec=SECOND_ORDER * case.bound.line_of_sight.rms_limit_arcsec(RENDERED_QUANTILE),
-        map_monte_carlo_arcsec=found.map_arcsec,
+        map_monte_carlo_arcsec=case.monte_carlo.map_arcsec,
         map_bound_arcsec=case.bound.map_sigma_arcsec,
         camera_model_arcsec=model,
-        camera_model_share=model / predicted,
+        camera_model_ratio=model / predicted,
         reduced_chi2=[
-            Measured(value=one.reduced_chi2, uncertainty=float(np.sqrt(2.0 / one.degrees_of_freedom)))
-            for one in solutions
+            Measured(value=fit.reduced_chi2, uncertainty=float(np.sqrt(2.0 / fit.degrees_of_freedom)))
+            for fit in solutions
         ],
-        principal_point_sigma_arcsec=point,
-        point_over_line=float(np.sqrt(2.0) * point.max() / predicted),  # the map's is a length over two axes
-        lost_runs=found.lost,
-        places=len(readings.position_px),
+        principal_point_sigma_arcsec=principal_point_arcsec,
+        # the map error is a length over two axes
+        principal_point_ratio=float(np.sqrt(2.0) * principal_point_arcsec.max() / predicted),
+        runs_not_converged=case.monte_carlo.not_converged,
+        positions=len(readings.position_px),
         centroid_error_px=np.sqrt(((readings.position_px - case.measurement.bundle_px) ** 2).mean(0)),
         centroid_predicted_px=np.sqrt((readings.sigma_px**2).mean(0)),
-        line_error_arcsec=line.error_length_arcsec,
-        line_sigma_arcsec=line.predicted_length_arcsec,
+        error_map_arcsec=estimated.error_length_arcsec,
+        sigma_map_arcsec=estimated.predicted_length_arcsec,
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Unknown:
-    """One unknown on both tables, in the unit that its name ends with; NaN on a table that does not have it.
+class TableUnknown:
+    """An unknown on both tables, in the unit that its name ends with; NaN on a table that does not have it.
 
     Truth of the camera: the model fitted to noise-free rays; of star, installation and axes: as set.
     """
@@ -289,40 +299,42 @@ class Unknown:
     truth: FloatArray = col("Truth", "{unknown}", dims="table", shown=False)
     estimate: Sequence[Measured] = col("Run", "{unknown}", dims="table")
     pull: FloatArray = col("Pull", "", "+.2f", "table")
-    bound: FloatArray = col("Cramér–Rao σ", "{unknown}", dims="table", shown=False)
-    monte_carlo: FloatArray = col("Monte-Carlo σ", "{unknown}", dims="table", shown=False)
-    rms_pull: Sequence[Measured] = col(
-        "RMS pull",
-        "",
-        ".2f",
-        "table",
-    )
+    sigma_bound: FloatArray = col("Cramér–Rao σ", "{unknown}", dims="table", shown=False)
+    sigma_monte_carlo: FloatArray = col("Monte-Carlo σ", "{unknown}", dims="table", shown=False)
+    rms_pull: Sequence[Measured] = col("RMS pull", "", ".2f", "table")
     correlation: FloatArray = col("Correlation", dims="table other", shown=False)
 
 
-def unknown(name: str, cases: Sequence[Case]) -> Unknown:
-    """One unknown of all tables."""
-    columns = np.full((8 + len(UNKNOWNS), len(cases)), np.nan)
-    for column, case in zip(columns.T, cases, strict=True):
-        found, solution = case.monte_carlo, case.reductions["estimated"].calibration.solution
-        if name not in found.names:
+def unknown(name: str, cases: Sequence[TableCase]) -> TableUnknown:
+    """An unknown on all tables."""
+    columns = np.full((8, len(cases)), np.nan)
+    correlation = np.full((len(cases), len(UNKNOWNS)), np.nan)
+    for number, case in enumerate(cases):
+        runs, solution = case.monte_carlo, case.reductions["estimated"].calibration.solution
+        if name not in runs.names:
             continue
-        at = found.names.index(name)
-        column[:3] = found.truth[at], solution.value[at], solution.sigma[at]
-        column[3:5] = solution.pulls(found.truth)[at], case.bound.of(name)
-        column[5:8] = found.error[:, at].std(ddof=1), found.pull_std[at], 1.0 / np.sqrt(2.0 * found.runs)
-        correlation = solution.covariance[at] / (solution.sigma * solution.sigma[at])
-        for other, value in zip(found.names, correlation, strict=True):
-            column[8 + list(UNKNOWNS).index(other)] = value
-    truth, value, sigma, pull, smallest, spread, rms, error = columns[:8]
-    return Unknown(
+        row = runs.names.index(name)
+        columns[:, number] = (
+            runs.truth[row],
+            solution.value[row],
+            solution.sigma[row],
+            solution.pulls(runs.truth)[row],
+            case.bound.of(name),
+            runs.error[:, row].std(ddof=1),
+            runs.rms_pull[row],
+            1.0 / np.sqrt(2.0 * runs.runs),
+        )
+        others = [list(UNKNOWNS).index(other) for other in runs.names]
+        correlation[number, others] = solution.covariance[row] / (solution.sigma * solution.sigma[row])
+    truth, value, sigma, pull, sigma_bound, sigma_monte_carlo, rms_pull, rms_pull_error = columns
+    return TableUnknown(
         truth=truth,
         estimate=measured(value, sigma, unit=unit_of(name)),
         pull=pull,
-        bound=smallest,
-        monte_carlo=spread,
-        rms_pull=measured(rms, error),
-        correlation=columns[8:].T,
+        sigma_bound=sigma_bound,
+        sigma_monte_carlo=sigma_monte_carlo,
+        rms_pull=measured(rms_pull, rms_pull_error),
+        correlation=correlation,
     )
 
 
@@ -332,37 +344,37 @@ def unit_of(name: str) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Share:
-    """Map error that one cause of noise makes, carried through the best estimator; squares add up to the bound."""
+class NoiseContribution:
+    """Map error by a source of noise, propagated through the best estimator; squares add up to the bound."""
 
-    noise: str = col("Noise of")
-    share_arcsec: Sequence[float] = col("Map error,", "arcsec", ".3g", "table")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Known:
-    """TableBound of the map error if more were known."""
-
-    given: str = col("Known")
-    known_arcsec: Sequence[float] = col("Map error,", "arcsec", ".3g", "table")
+    noise_source: str = col("Noise of")
+    contribution_arcsec: Sequence[float] = col("Map error,", "arcsec", ".3g", "table")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Place:
-    """Places that the star's image visited on one table."""
+class PriorKnowledge:
+    """Cramér-Rao bound of the map error with prior knowledge."""
 
-    wanted_px: FloatArray = col("Wanted", "px", dims="place axis")
-    true_deg: FloatArray = col("True angle", "deg", dims="place turn")
-    reading_deg: FloatArray = col("Reading", "deg", dims="place turn")
-    bundle_px: FloatArray = col("Rays", "px", dims="place axis")
-    centroid_px: FloatArray = col("Centroid", "px", dims="place axis")
-    sigma_px: FloatArray = col("σ", "px", dims="place axis")
-    # Against the calibration at the angles as read, leans estimated
-    residual_px: FloatArray = col("Residual", "px", dims="place axis")
+    known: str = col("Known")
+    map_bound_if_known_arcsec: Sequence[float] = col("Map error,", "arcsec", ".3g", "table")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Setup:
+class VisitedPosition:
+    """Positions of the star's image on a table."""
+
+    commanded_px: FloatArray = col("Commanded", "px", dims="position axis")
+    true_deg: FloatArray = col("True angle", "deg", dims="position turn")
+    reading_deg: FloatArray = col("Reading", "deg", dims="position turn")
+    bundle_px: FloatArray = col("Rays", "px", dims="position axis")
+    centroid_px: FloatArray = col("Centroid", "px", dims="position axis")
+    sigma_px: FloatArray = col("σ", "px", dims="position axis")
+    # Against the calibration at the angles as read, non-orthogonality estimated
+    residual_px: FloatArray = col("Residual", "px", dims="position axis")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TurntableSetup:
     """Test conditions common to both tables."""
 
     lens: str = col("Lens")
@@ -372,17 +384,17 @@ class Setup:
     signal_e: float = col("Signal", "e-", ".0f")
     signal_star: str = col("Star")
     reading_noise_equal_to_centroids_arcsec: float = col("Reading noise equivalent to the centroids", "arcsec", ".3f")
-    map_px: FloatArray = col("Places of the map", "px", dims="point axis")
+    map_px: FloatArray = col("Points of the map", "px", dims="point axis")
 
 
-def place_of(case: Case) -> Place:
-    """Images and angles of one table; angles that it does not have are NaN."""
+def visited_position(case: TableCase) -> VisitedPosition:
+    """Images and angles of a table; NaN for the middle axis of a table of two."""
     visits, readings = case.measurement.visits, case.measurement.readings
     angles = np.full((2, len(visits), 3), np.nan)
-    turns = [0, 2] if visits.true_rad.shape[1] == 2 else [0, 1, 2]
-    angles[:, :, turns] = np.degrees([visits.true_rad, visits.reading_rad])
-    return Place(
-        wanted_px=visits.wanted_px,
+    axes = [0, 2] if visits.true_rad.shape[1] == 2 else [0, 1, 2]
+    angles[:, :, axes] = np.degrees([visits.true_rad, visits.reading_rad])
+    return VisitedPosition(
+        commanded_px=visits.wanted_px,
         true_deg=angles[0],
         reading_deg=angles[1],
         bundle_px=case.measurement.bundle_px,
@@ -392,10 +404,12 @@ def place_of(case: Case) -> Place:
     )
 
 
-def setup_of(config: Config, instrument: Instrument, traced: TracedMap, equal_arcsec: float) -> Setup:
+def setup_of(
+    config: TurntableCalibrationConfig, instrument: Instrument, traced: TracedMap, equal_arcsec: float
+) -> TurntableSetup:
     """Light and lens."""
     star = star_signal(config, instrument)
-    return Setup(
+    return TurntableSetup(
         lens=instrument.camera.lens.name,
         detector=instrument.detector.name,
         focal_length_mm=instrument.focal_length_mm,
@@ -407,7 +421,7 @@ def setup_of(config: Config, instrument: Instrument, traced: TracedMap, equal_ar
     )
 
 
-def axes(config: Config) -> Quantities:
+def axes(config: TurntableCalibrationConfig) -> Quantities:
     """Dimensions that sections share."""
     q = Quantities()
     q.axis("table", list(TABLES), "Table", names=TABLES)
@@ -422,30 +436,43 @@ def axes(config: Config) -> Quantities:
     return q
 
 
-def run(config: Config, *, progress: Progress) -> dict[str, Any]:
+def run(config: TurntableCalibrationConfig, *, progress: Progress) -> dict[str, Any]:
     """Render, read, calibrate, and judge against the traced lens; then bounds and sweeps on coordinates."""
     instrument = prepare(config)
     streams, study = Streams(config.seed).child("turntable"), config.study
     with progress.stage("trace"):
         traced = traced_map(config, instrument)
-    cases = [one_table(config, instrument, traced, key, streams, progress) for key in TABLES]
-    two, own = cases[0].coordinates, streams.child("reading sweep")
+    cases = [table_case(config, instrument, traced, key, streams, progress) for key in TABLES]
+    two_axis = cases[0].coordinates
     with progress.stage("reading noise", total=len(study.reading_noise_arcsec)) as stage:
-        readings = reading_sweep(two, traced, own, study.reading_noise_arcsec, study.sweep_runs, advance=stage.advance)
+        readings = reading_sweep(
+            two_axis,
+            traced,
+            streams.child("reading sweep"),
+            study.reading_noise_arcsec,
+            study.sweep_runs,
+            advance=stage.advance,
+        )
     with progress.stage("field of view"):
         sigma_px = float(np.sqrt((cases[0].measurement.readings.sigma_px ** 2).mean()))
         fields = field_sweep(study.field_deg, sigma_px)
-    equal = equal_reading_noise_arcsec(readings, two.with_reading_noise(0.0).map_bound_arcsec(traced))
-    causes = list(dict.fromkeys(cause for case in cases[::-1] for cause in case.shares))
+    equal = equal_reading_noise_arcsec(readings, two_axis.with_reading_noise(0.0).map_bound_arcsec(traced))
+    sources = list(dict.fromkeys(source for case in cases[::-1] for source in case.noise))
     return {
         "setup": setup_of(config, instrument, traced, equal),
         "line_of_sight": [line_of_sight(case, instrument.pixel_arcsec) for case in cases],
         "unknowns": [unknown(name, cases) for name in UNKNOWNS],
-        "shares": [Share(noise=one, share_arcsec=[case.shares.get(one, np.nan) for case in cases]) for one in causes],
-        "knowledge": [
-            Known(given=one, known_arcsec=[case.knowledge[one] for case in cases]) for one in cases[0].knowledge
+        "noise": [
+            NoiseContribution(
+                noise_source=source, contribution_arcsec=[case.noise.get(source, np.nan) for case in cases]
+            )
+            for source in sources
         ],
-        "places": [place_of(case) for case in cases],
+        "prior_knowledge": [
+            PriorKnowledge(known=known, map_bound_if_known_arcsec=[case.bounds_if_known[known] for case in cases])
+            for known in cases[0].bounds_if_known
+        ],
+        "positions": [visited_position(case) for case in cases],
         "readings": readings,
         "fields": fields,
     }
@@ -453,7 +480,7 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
 
 SECTIONS = {
     "setup": Section(
-        record=Setup,
+        record=TurntableSetup,
     ),
     "line_of_sight": Section(
         record=LineOfSight,
@@ -464,7 +491,7 @@ SECTIONS = {
         note="Run: rendered, against the traced lens; non-orthogonality of the axes estimated, ignored, "
         "or known. Predicted: by the estimator's covariance. Monte Carlo: without frames, ± "
         "standard error. Camera model: fitted to noise-free rays, against the traced lens.",
-        figures={"error_map": maps("line_error_arcsec", place="map_px", panels="table")},
+        figures={"error_map": maps("error_map_arcsec", place="map_px", panels="table")},
         verdicts=[
             below(
                 "map_error_arcsec",
@@ -492,15 +519,15 @@ SECTIONS = {
                 advice="readings too coarse or field too small: the problem is not linear, as a covariance assumes",
             ),
             below(
-                "camera_model_share",
-                MODEL_SHARE,
+                "camera_model_ratio",
+                MOST_MODEL_RATIO,
                 title="camera model against traced lens, over the predicted map error",
                 advice="the lens needs a model with more terms than Brown-Conrady, or a smaller detector",
             ),
         ],
     ),
     "unknowns": Section(
-        record=Unknown,
+        record=TableUnknown,
         dim="unknown",
         across="table",
         caption="Unknowns of the joint calibration.",
@@ -519,28 +546,28 @@ SECTIONS = {
             )
         ],
     ),
-    "shares": Section(
-        record=Share,
-        dim="cause",
-        along="noise",
-        table="noise_shares",
+    "noise": Section(
+        record=NoiseContribution,
+        dim="source",
+        along="noise_source",
+        table="noise_contributions",
         across="table",
         caption="Predicted contributions of the noise to the map error; their squares add up to the "
         "squared Cramér–Rao bound.",
     ),
-    "knowledge": Section(
-        record=Known,
-        dim="known",
-        along="given",
+    "prior_knowledge": Section(
+        record=PriorKnowledge,
+        dim="knowledge",
+        along="known",
         across="table",
         caption="Cramér–Rao bound of the map error with additional knowledge.",
     ),
-    "places": Section(
-        record=Place,
+    "positions": Section(
+        record=VisitedPosition,
         dim="table",
-        rows="table place",
+        rows="table position",
         across="axis turn",
-        hidden="place",
+        hidden="position",
         caption="All positions.",
     ),
     "readings": READINGS,

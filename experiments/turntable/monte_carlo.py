@@ -29,17 +29,17 @@ from render.engine.random import Streams
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Coordinates:
-    """A bench whose camera *is* a model, so that its parameters have a truth."""
+    """A bench whose camera is a model with true parameters."""
 
-    model: CameraModel  # The camera
+    model: CameraModel
     bench: StarBench  # Star, table, installation
     true_rad: FloatArray  # (n, k) Angles
     covariance_px2: FloatArray  # (n, 2, 2) Of the centroids
-    start: CameraModel  # Where every calibration starts
+    start: CameraModel  # Start of every calibration
     start_star: FloatArray  # (3,) Start of the star's direction
 
     def draw(self, streams: Streams, run: int) -> PoseData:
-        """One noisy data set."""
+        """A noisy data set."""
         assert isinstance(self.bench.table, Turntable)
         exact = PoseData(
             pixel_px=self.model.project(self.bench.star_in_cam(self.true_rad)),
@@ -54,29 +54,29 @@ class Coordinates:
         return true_unknowns(self.model, self.bench, leans=True)
 
     def with_reading_noise(self, sigma_arcsec: float) -> Coordinates:
-        """The same with one reading noise on all axes."""
+        """These coordinates with the same reading noise on all axes."""
         table = self.bench.table
         noise = np.full(len(table.axis), sigma_arcsec)
         return replace(self, bench=replace(self.bench, table=replace(table, reading_noise_arcsec=noise)))
 
     def map_bound_arcsec(self, traced: TracedMap) -> float:
-        """Cramer-Rao bound of the map error, axes' leans unknown."""
+        """Cramer-Rao bound of the map error, non-orthogonality of the axes unknown."""
         noise = self.covariance_px2 + reading_covariance_px2(self.model, self.bench, self.true_rad)
         return table_bound(self.model, self.bench, self.true_rad, noise, traced.direction, leans=True).map_sigma_arcsec
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MonteCarlo:
-    """Many calibrations of the same bench; r runs that converged."""
+    """Calibrations of the same bench with different noise; r runs that converged."""
 
     names: tuple[str, ...]  # Unknowns (q)
-    truth: FloatArray  # (q,) Their true values
+    truth: FloatArray  # (q,)
     error: FloatArray  # (r, q) Estimate minus truth
-    pull: FloatArray  # (r, q) The same over the estimator's own standard deviation
+    pull: FloatArray  # (r, q) Error over the standard deviation stated by the fit
     map_rms_arcsec: FloatArray  # (r,) RMS length of the error of the line of sight after the best rotation
-    predicted_map_arcsec: FloatArray  # (r,) What each run's covariance says of it
+    predicted_map_arcsec: FloatArray  # (r,) Map error predicted by the covariance of the fit
     reduced_chi2: FloatArray  # (r,) Of each fit
-    lost: int  # Runs that did not converge
+    not_converged: int  # Number of runs
 
     @property
     def runs(self) -> int:
@@ -84,7 +84,7 @@ class MonteCarlo:
         return len(self.error)
 
     @property
-    def pull_std(self) -> FloatArray:
+    def rms_pull(self) -> FloatArray:
         """RMS of the pulls (q,): 1 for a correct covariance without bias."""
         return np.asarray(np.sqrt((self.pull**2).mean(0)))
 
@@ -98,49 +98,49 @@ class MonteCarlo:
 
 
 def map_error(calibration: Calibration, traced: TracedMap) -> LineOfSightMap:
-    """Error of a calibration over the field against the traced lens, and what the covariance predicts of it."""
+    """Error of a calibration over the field against the traced lens, and its prediction by the covariance."""
     return line_of_sight_map(calibration.model, traced.direction, traced.pixel_px, covariance=calibration.covariance)
 
 
 def monte_carlo(
     setup: Coordinates, traced: TracedMap, streams: Streams, runs: int, *, advance: Callable[[], None] = lambda: None
 ) -> MonteCarlo:
-    """Calibrate fresh noise many times; the model is the truth here, not the traced lens."""
-    believed = setup.bench.table.nominal
+    """Calibrations with independent noise; the truth is the model, not the traced lens."""
+    nominal = setup.bench.table.nominal
     traced_model = TracedMap(direction=traced.direction, pixel_px=setup.model.project(traced.direction))
     names = unknown_names(setup.model, setup.bench, leans=True)
     errors, pulls, maps = [], [], []
     for run in range(runs):
         data = setup.draw(streams, run)
-        calibration = calibrate_on_table(data, believed, setup.start, leans=True, start_star=setup.start_star)
+        calibration = calibrate_on_table(data, nominal, setup.start, leans=True, start_star=setup.start_star)
         solution = calibration.solution
         if solution.converged:
-            line = map_error(calibration, traced_model)
+            line_of_sight = map_error(calibration, traced_model)
             errors.append(solution.value - setup.truth)
             pulls.append(errors[-1] / solution.sigma)
-            maps.append((line.rms_arcsec, line.predicted_rms_arcsec, solution.reduced_chi2))
+            maps.append((line_of_sight.rms_arcsec, line_of_sight.predicted_rms_arcsec, solution.reduced_chi2))
         advance()
-    found, predicted, chi2 = np.array(maps, float).reshape(-1, 3).T
+    map_rms, predicted, chi2 = np.array(maps, float).reshape(-1, 3).T
     return MonteCarlo(
         names=names,
         truth=setup.truth,
         error=np.array(errors, float).reshape(-1, len(names)),
         pull=np.array(pulls, float).reshape(-1, len(names)),
-        map_rms_arcsec=found,
+        map_rms_arcsec=map_rms,
         predicted_map_arcsec=predicted,
         reduced_chi2=chi2,
-        lost=runs - len(maps),
+        not_converged=runs - len(maps),
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReadingPoint:
-    """Map error at one error of a place's mean reading, the same on all axes, with unchanged centroids."""
+    """Map error at a noise of the mean reading of a position, the same on all axes, with unchanged centroids."""
 
-    reading_arcsec: float = col("Noise of the mean reading", "arcsec", "g")
+    reading_noise_arcsec: float = col("Noise of the mean reading", "arcsec", "g")
     measured_arcsec: Measured = col("Map error", "arcsec")
     bound_arcsec: float = col("Cramér–Rao bound", "arcsec", ".4f")
-    pull_rms: float = col("RMS pull", "", ".3f")  # Of all unknowns
+    rms_pull: float = col("RMS pull", "", ".3f")  # Of all unknowns
     runs: int = col("Runs that converged")
 
 
@@ -153,18 +153,18 @@ def reading_sweep(
     *,
     advance: Callable[[], None],
 ) -> list[ReadingPoint]:
-    """Monte Carlo at every reading noise, started at the truth, for errors and not for convergence."""
-    near, points = replace(setup, start=setup.model), []
+    """Monte Carlo at every reading noise, started at the truth: it tests errors, not convergence."""
+    started_at_truth, points = replace(setup, start=setup.model), []
     for noise in noises_arcsec:
-        noisy = near.with_reading_noise(noise)
-        found = monte_carlo(noisy, traced, streams.child(f"{noise:g}"), runs)
+        noisy = started_at_truth.with_reading_noise(noise)
+        result = monte_carlo(noisy, traced, streams.child(f"{noise:g}"), runs)
         points.append(
             ReadingPoint(
-                reading_arcsec=noise,
-                measured_arcsec=found.map_arcsec,
+                reading_noise_arcsec=noise,
+                measured_arcsec=result.map_arcsec,
                 bound_arcsec=noisy.map_bound_arcsec(traced),
-                pull_rms=float(np.sqrt((found.pull**2).mean())) if found.runs else float("nan"),
-                runs=found.runs,
+                rms_pull=float(np.sqrt((result.pull**2).mean())) if result.runs else float("nan"),
+                runs=result.runs,
             )
         )
         advance()
@@ -174,17 +174,20 @@ def reading_sweep(
 def equal_reading_noise_arcsec(points: Sequence[ReadingPoint], centroid_bound_arcsec: float) -> float:
     """Reading noise, the same on all axes, that doubles the variance of the map against centroids alone.
 
-    The bound is b^2 = b0^2 + (s r)^2 to first order; s is taken where readings dominate. NaN if they nowhere count.
+    The bound is b^2 = b0^2 + (s r)^2 to first order in the reading noise r; s is taken at the largest r. NaN if the
+    readings do not contribute.
     """
-    most = max(points, key=lambda point: point.reading_arcsec)
-    added2 = most.bound_arcsec**2 - centroid_bound_arcsec**2
-    return float(centroid_bound_arcsec * most.reading_arcsec / np.sqrt(added2)) if added2 > 0 else float("nan")
+    largest = max(points, key=lambda point: point.reading_noise_arcsec)
+    readings2 = largest.bound_arcsec**2 - centroid_bound_arcsec**2
+    if readings2 <= 0:
+        return float("nan")
+    return float(centroid_bound_arcsec * largest.reading_noise_arcsec / np.sqrt(readings2))
 
 
 READINGS = Section(
     record=ReadingPoint,
     dim="reading",
-    along="reading_arcsec",
+    along="reading_noise_arcsec",
     table="reading_sweep",
     caption="Map error against the reading noise, two-axis table.",
     figures={

@@ -18,30 +18,30 @@ from optics.arrays import FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Unknown:
+class PoseUnknown:
     """An unknown of the joint calibration."""
 
-    unknown_name: str = col("Unknown")
-    solved: Measured = col("Value")
+    name: str = col("Unknown")
+    estimate: Measured = col("Value")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Errors:
+class PoseErrors:
     """Errors of the calibration."""
 
     poses: int = col("Poses")
     map_error_arcsec: float = col("Error of the line of sight", "arcsec", ".4f", shown=False)
     residual_px: FloatArray = col("Residual, RMS", "px", ".4f", "axis")
-    centroid_px: FloatArray = col("Centroid, stated", "px", ".4f", "axis")
+    centroid_sigma_px: FloatArray = col("Centroid, stated", "px", ".4f", "axis")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Pose:
+class PoseImage:
     """The star at a pose."""
 
-    place_px: FloatArray = col("Image", "px", ".4f", "axis")
-    left_px: FloatArray = col("Residual", "px", ".4f", "axis")
-    left_arcsec: FloatArray = col("Residuals", "arcsec", ".2f", "axis", shown=False)
+    position_px: FloatArray = col("Image", "px", ".4f", "axis")
+    residual_px: FloatArray = col("Residual", "px", ".4f", "axis")
+    residual_arcsec: FloatArray = col("Residuals", "arcsec", ".2f", "axis", shown=False)
 
 
 def reduce(folder: FrameFolder, methods: Sequence[str], config: Any = None) -> Reduced:
@@ -49,25 +49,29 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any = None) -> R
     poses = calibrate_poses(folder, methods, ("calibration", "evaluation"))
     return poses.series, {
         "unknowns": unknowns(poses),
-        "errors": Errors(
+        "errors": PoseErrors(
             poses=len(poses.series),
             map_error_arcsec=poses.map_error_arcsec,
             residual_px=np.sqrt((poses.residual_px**2).mean(0)),
-            centroid_px=np.sqrt(np.diagonal(poses.data.covariance_px2, axis1=1, axis2=2).mean(0)),
+            centroid_sigma_px=np.sqrt(np.diagonal(poses.data.covariance_px2, axis1=1, axis2=2).mean(0)),
         ),
         "fit": fit_record(poses, folder),
         "poses": [
-            Pose(place_px=place, left_px=left, left_arcsec=left * folder.settings.pixel_arcsec)
-            for place, left in zip(poses.data.pixel_px, poses.residual_px, strict=True)
+            PoseImage(
+                position_px=position,
+                residual_px=residual,
+                residual_arcsec=residual * folder.settings.pixel_arcsec,
+            )
+            for position, residual in zip(poses.data.pixel_px, poses.residual_px, strict=True)
         ],
     }
 
 
-def unknowns(poses: PoseCalibration) -> list[Unknown]:
+def unknowns(poses: PoseCalibration) -> list[PoseUnknown]:
     """Unknowns in the order of the estimator."""
     solution = poses.calibration.solution
     rows = zip(solution.names, measured(solution.value, solution.sigma), strict=True)
-    return [Unknown(unknown_name=name, solved=value) for name, value in rows]
+    return [PoseUnknown(name=name, estimate=value) for name, value in rows]
 
 
 own_frames = FramesTest(
@@ -76,32 +80,32 @@ own_frames = FramesTest(
     reduce=reduce,
     sections={
         "unknowns": Section(
-            record=Unknown,
+            record=PoseUnknown,
             dim="unknown",
-            along="unknown_name",
+            along="name",
             caption="Unknowns of the joint calibration, in the unit at the end of the name.",
             note="One standard deviation by the stated noise. Star: direction in the laboratory, the table's frame at "
             "zero angles; theta: installation (cam from table top) by ACF17; lean: 90° minus the angle of neighbouring "
             "axes.",
         ),
         "errors": Section(
-            record=Errors,
+            record=PoseErrors,
             table="residuals",
             rows="axis",
-            columns="residual_px centroid_px",
+            columns="residual_px centroid_sigma_px",
             caption="Residuals for the angles read, and the stated error of a centroid.",
         ),
         "fit": FIT,
         "poses": Section(
-            record=Pose,
+            record=PoseImage,
             dim="series",
             across="axis",
             caption="Images of the poses.",
-            figures={"residuals": arrows("place_px", "left_arcsec", frame="frame_size_px")},
+            figures={"residuals": arrows("position_px", "residual_arcsec", frame="frame_size_px")},
         ),
     },
     head={
-        "Focal length [mm]": ("solved", {"unknown": "focal_length_mm"}),
+        "Focal length [mm]": ("estimate", {"unknown": "focal_length_mm"}),
         "Error of the line of sight, RMS": ("map_error_arcsec", {}),
     },
     captions={"residuals": "Residuals of the images at the angles as read."},

@@ -62,7 +62,7 @@ class StudyConfig(StrictModel):
     )
 
 
-class Config(SingleStarConfig):
+class TurntableCalibrationConfig(SingleStarConfig):
     """Bench and unknowns of FISHER23, which states no numbers: camera of ACC18, turntable of CUBE09."""
 
     two_axis: TurntableConfig = Field(default_factory=_two_axes)
@@ -73,7 +73,7 @@ class Config(SingleStarConfig):
 
 rendered = Experiment(
     name="turntable",
-    config=Config,
+    config=TurntableCalibrationConfig,
     run="experiment:run",
     sections="experiment:SECTIONS",
     axes="experiment:axes",

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from target_frames import readout, spots, write
 
 from experiments.fisher.own_frames import reduce as reduce_vectors
-from experiments.fisher.settings import Config as FisherConfig
+from experiments.fisher.settings import FisherConfig
 from experiments.reduce.folder import read_folder
 from experiments.reduce.poses import POSES
 from experiments.turntable.own_frames import reduce as reduce_table
@@ -56,7 +56,7 @@ def test_camera_star_and_star_vectors_are_what_was_put_in(poses):
     """Readings of 8 arcsec; centroids of some 2 arcsec."""
     folder = read_folder(poses, window_px=11, layout=POSES)
     _, table = reduce_table(folder, ("gaussian",))
-    unknowns = {one.unknown_name: one.solved for one in table["unknowns"]}
+    unknowns = {unknown.name: unknown.estimate for unknown in table["unknowns"]}
     for name, value in (
         ("focal_length_mm", F_MM),
         ("q1_per_mm2", Q1),
@@ -73,7 +73,7 @@ def test_camera_star_and_star_vectors_are_what_was_put_in(poses):
     assert vectors.readings_arcsec == pytest.approx(READING, rel=0.02)
     expected = np.hypot(READING, vectors.centroids_arcsec)
     assert vectors.sigma_arcsec == pytest.approx(expected, rel=4 / np.sqrt(4 * 19) + 0.05)
-    assert abs(vectors.z_score) < 4.0
+    assert abs(vectors.deviation_sigma) < 4.0
     assert (fisher["distribution"].vectors, fisher["distribution"].outliers) == (20, 0)
 
 
