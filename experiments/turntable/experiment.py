@@ -167,7 +167,8 @@ def table_case(
     if runs.runs < LEAST_RUNS:
         raise DomainError(
             f"{name} table: {runs.not_converged} of {config.study.runs} calibrations of the Monte-Carlo did not "
-            "converge; use better start values (reduction.star_deg, reduction.focal_length_mm) or cover more of the field"
+            "converge; use better start values (reduction.star_deg, reduction.focal_length_mm) or cover more of the "
+            "field"
         )
     return TableCase(
         measurement=measurement,
