@@ -9,13 +9,14 @@ from calib.attitude.triad import angle_between_rad, triad
 TURN = Rotation.from_rotvec([0.3, -1.2, 0.7])
 
 
-def test_frame_of_directions_out_of_square():
+def test_frame_of_directions_out_of_square_and_small_angles():
     """Z is the first direction; the second lies in the X-Z plane on the side of +X; Y completes (ECSS)."""
     second = np.array([np.cos(2e-3), 0.0, np.sin(2e-3)])
     found = triad([[0, 0, 1], [1, 0, 0]], TURN.inv().apply([[0.0, 0.0, 1.0], second]))
     assert found.rotation.as_matrix() == pytest.approx(TURN.as_matrix(), abs=1e-13)
     assert found.angle_error_rad == pytest.approx(-2e-3)
     assert not found.covariance_rad2.any()
+    assert angle_between_rad([0, 0, 1], [1e-9, 0, 1]) == pytest.approx(1e-9, rel=1e-12)
 
 
 @pytest.mark.parametrize("angle_deg", [90.0, 20.0])
@@ -31,7 +32,3 @@ def test_covariance_is_the_scatter(angle_deg):
     size = np.sqrt(np.diag(expected))
     away = (errors.T @ errors / 1000 - expected) / np.outer(size, size)
     assert np.abs(away).max() < 4.5 * np.sqrt(2.0 / 1000)
-
-
-def test_small_angles_are_exact():
-    assert angle_between_rad([0, 0, 1], [1e-9, 0, 1]) == pytest.approx(1e-9, rel=1e-12)

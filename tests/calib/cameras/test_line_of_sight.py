@@ -98,16 +98,13 @@ def test_parameters_that_only_turn_the_camera_predict_no_error():
     assert measured == pytest.approx(result.predicted_rms_arcsec, rel=0.01)
 
 
-def test_without_a_covariance_nothing_is_predicted_and_an_infinite_one_predicts_infinity():
+def test_what_is_not_known_is_nan_or_infinite():
     truth = CAMERA.unproject(GRID)
     assert np.isnan(line_of_sight_map(CAMERA, truth, GRID).predicted_sigma_arcsec).all()
     assert np.isnan(line_of_sight_map(CAMERA, truth, GRID).predicted_rms_arcsec)
     unknown = np.zeros((8, 8))
     unknown[3, 3] = np.inf
     assert line_of_sight_map(CAMERA, truth, GRID, covariance=unknown).predicted_rms_arcsec == np.inf
-
-
-def test_a_pixel_without_a_direction_spoils_the_mean_instead_of_hiding():
     folded = BrownConrady.create(GEOMETRY, focal_length_mm=25.6, q1_per_mm2=-4e-3)
     truth = BrownConrady.create(GEOMETRY, focal_length_mm=25.6).unproject(GRID)
     result = line_of_sight_map(folded, truth, GRID, covariance=np.eye(8) * 1e-20)

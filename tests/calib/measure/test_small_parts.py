@@ -19,7 +19,7 @@ def test_errors_of_a_centroider_add_in_quadrature():
     np.testing.assert_allclose(errors.total_px, [[7.0, 0.0]])
 
 
-def test_level_of_coarse_numbers_is_that_of_fine_ones():
+def test_level_of_coarse_numbers_and_of_crowded_cells():
     """Noise of one step of the converter: 40 cells of 4096 normal numbers, five standard errors of their mean."""
     rng, quantum = np.random.default_rng(6), 10.0
     light = rng.normal(300.0, quantum, (40, 4096))
@@ -27,10 +27,7 @@ def test_level_of_coarse_numbers_is_that_of_fine_ones():
     for cells, step, own in ((light, 0.0, 0.0), (quantum * np.rint(light / quantum), quantum, 1.0 / 12.0)):
         level, _ = _clipped_statistics(cells, 3.0, step)
         assert level.mean() == pytest.approx(300.0, abs=5 * error * np.sqrt(1.0 + own))
-
-
-def test_the_level_of_a_crowded_cell_is_its_mode_as_published():
-    """Bertin and Arnouts 1996, sec. 7.1; a skewed cell of which nothing is clipped, and its mirror, which is none."""
+    # bertin and Arnouts 1996, sec. 7.1; a skewed cell of which nothing is clipped, and its mirror, which is none
     skewed = 300.0 + 10.0 * np.linspace(0.0, 1.0, 101) ** 2
     mean, median = skewed.mean(), np.median(skewed)
     level, _ = _clipped_statistics(np.stack([skewed, 600.0 - skewed]), 3.0, 0.0)

@@ -27,7 +27,7 @@ def test_window_holds_the_pixels_it_says_and_no_position_gives_none():
     assert stamps.electrons.shape == (0, 11, 11)
 
 
-def test_edge_outside_and_blend():
+def test_flags_of_edges_blends_saturated_and_defective_pixels():
     stamps = extract_stamps(ramp(), [1.0, -40.0, 30.0, 33.0], [20.0, 20.0, 20.0, 20.0], background=0.0, size_px=7)
     assert StarFlag(int(stamps.flags[0])) == StarFlag.EDGE
     assert stamps.valid[0].sum() == 5 * 7
@@ -36,9 +36,6 @@ def test_edge_outside_and_blend():
     assert not stamps.valid[1].any()
     assert StarFlag(int(stamps.flags[2])) == StarFlag.BLEND
     assert StarFlag(int(stamps.flags[3])) == StarFlag.BLEND
-
-
-def test_saturated_and_defective_pixels_are_left_out():
     saturated, valid = np.zeros((40, 60), bool), np.ones((40, 60), bool)
     saturated[20, 30], valid[21, 31] = True, False
     stamps = extract_stamps(ramp(saturated=saturated, valid=valid), [30.0], [20.0], background=0.0, size_px=5)

@@ -14,7 +14,7 @@ TAKEN = [datetime(2019, 7, 29, 20, 47, 26 + k, tzinfo=UTC) for k in range(6)]
 UP = np.array([0.0, 0.0, 1.0])
 
 
-def test_site_by_the_altitudes_of_the_boresights():
+def test_site_by_the_altitudes_of_the_boresights_and_a_zenith_that_turns_with_the_earth():
     zenith = zenith_directions(52.1, 4.4, TAKEN)
     around = np.random.default_rng(2).standard_normal((6, 3))
     side = np.cross(zenith, around)
@@ -26,10 +26,7 @@ def test_site_by_the_altitudes_of_the_boresights():
     np.testing.assert_allclose([fit.latitude_deg, fit.longitude_deg, fit.offset_deg], [52.1, 4.4, 1.2], atol=1e-6)
     assert fit_zenith(boresight[:3], np.degrees(altitude[:3]), TAKEN[:3]) is None
     assert fit_zenith(boresight, np.degrees(altitude)[::-1], TAKEN) is None  # altitudes of another mount
-
-
-def test_the_zenith_turns_with_the_earth():
-    """A sidereal day later the zenith is the same; declination is the latitude (to 0.2 deg of precession)."""
+    # A sidereal day later the zenith is the same; declination is the latitude (to 0.2 deg of precession)
     later = datetime(2019, 7, 30, 20, 43, 30, tzinfo=UTC)
     first, second = zenith_directions(52.1, 4.4, [TAKEN[0], later])
     assert np.degrees(np.arccos(first @ second)) < 0.01

@@ -19,7 +19,7 @@ from calib.photometry.zero_point import COLOUR_KNOTS
 EFFICIENCY = np.exp(-0.5 * ((WAVELENGTHS_NM - 600.0) / 150.0) ** 2)
 
 
-def test_colour_terms_of_a_redder_camera_come_back():
+def test_colour_terms_of_a_redder_camera_and_of_the_stated_one_come_back():
     """Terms by direct integration of photons over the true response; unknown ones are left out."""
     true = EFFICIENCY * np.exp(0.4 * (WAVELENGTHS_NM - 600.0) / 200.0)
     photons = np.stack([blackbody_photons(REFERENCE_K / colour) for colour in COLOUR_KNOTS])
@@ -29,9 +29,6 @@ def test_colour_terms_of_a_redder_camera_come_back():
     fit = fit_response(terms, np.full(len(terms), 0.01), EFFICIENCY)
     np.testing.assert_allclose(fit.colour_mag[1:], terms[1:], atol=0.01)
     assert fit.relative[-8] / fit.relative[4] > EFFICIENCY[-8] / EFFICIENCY[4]
-
-
-def test_a_camera_of_the_stated_efficiency_is_left_alone():
     light = electrons_per_mm2(EFFICIENCY, COLOUR_KNOTS)
     fit = fit_response(2.5 * np.log10(light / light[3]), np.full(7, 0.01), EFFICIENCY)
     np.testing.assert_allclose(fit.relative, EFFICIENCY, rtol=1e-4)

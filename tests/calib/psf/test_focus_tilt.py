@@ -36,7 +36,7 @@ def fitted(defocus, slope, blur, seed, count=300, spread=0.04):
     )
 
 
-def test_focus_tilt_and_blur_come_back():
+def test_focus_tilt_and_blur_come_back_with_unit_pulls():
     slope = np.array([0.004, -0.003])
     pose = fitted(0.02, slope, 0.2, 1)
     true = [0.02, -np.degrees(slope[1]), -np.degrees(slope[0]), 0.2]
@@ -44,10 +44,7 @@ def test_focus_tilt_and_blur_come_back():
     assert pose.scatter == pytest.approx(0.04, rel=0.2)
     assert pose.scatter_before > 3.0 * pose.scatter
     assert pose.stars == 300
-
-
-def test_pulls_of_focus_and_tilt():
-    """RMS of 16 pulls: 1 within 4 / sqrt(32)."""
+    # RMS of 16 pulls: 1 within 4 / sqrt(32)
     poses = [fitted(0.02, np.zeros(2), 0.2, seed, count=60) for seed in range(16)]
     pulls = np.array([(pose.value - [0.02, 0.0, 0.0, 0.2]) / pose.sigma for pose in poses])[:, :2]
     np.testing.assert_allclose(np.sqrt((pulls**2).mean(axis=0)), 1.0, atol=4.0 / np.sqrt(32.0))

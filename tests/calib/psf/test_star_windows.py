@@ -12,13 +12,10 @@ POSITION = np.array([[20.3, 30.0], [24.0, 30.0], [40.0, 12.4], [2.0, 20.0], [50.
 MAGNITUDE = np.array([5.0, 9.5, 4.0, 3.0, 4.5])
 
 
-def test_stars_with_neighbours_that_matter_are_not_isolated():
+def test_isolated_stars_and_masked_disks():
     position = np.array([[0.0, 0.0], [5.0, 0.0], [50.0, 0.0], [54.0, 0.0]])
     np.testing.assert_array_equal(isolated(position, np.array([5.0, 9.0, 5.0, 8.0])), [True, False, False, False])
     assert isolated(position, np.full(4, 5.0), reach_px=1.0).all()
-
-
-def test_masked_disks_have_the_area_of_their_radius():
     mask = starlit_pixels((101, 101), np.array([[50.0, 50.0], [-30.0, 5.0]]), np.array([4.0, 2.0]))
     assert mask.sum() == np.count_nonzero(np.hypot(*(np.indices((101, 101)) - 50)) <= 14.0)
     grown = starlit_pixels(

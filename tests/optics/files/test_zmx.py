@@ -48,7 +48,7 @@ def test_the_focal_length_of_the_report_is_at_the_temperature_of_the_file(tmp_pa
     assert abs(n - float(glass.index(587.6))) > 1e-5
 
 
-def test_every_line_is_reported_once_with_its_number(tmp_path: Path) -> None:
+def test_every_line_is_reported_once_with_its_number_and_defaults_are_taken(tmp_path: Path) -> None:
     file = read_lens_file(written(tmp_path, SINGLET))
     numbers = [line.line for line in file.report.lines if line.line]
     assert numbers == [n for n, text in enumerate(SINGLET.splitlines(), 1) if text.strip()]
@@ -57,9 +57,6 @@ def test_every_line_is_reported_once_with_its_number(tmp_path: Path) -> None:
     assert solved.status is Status.IGNORED
     assert solved.surface == 1
     assert not file.report.inexact
-
-
-def test_defaults_of_the_file(tmp_path: Path) -> None:
     defaults = read_lens_file(written(tmp_path, SINGLET)).defaults
     assert defaults.wavelength_nm == pytest.approx([486.1, 587.6, 656.3])  # the fourth is not in use
     assert defaults.wavelength_weight.tolist() == [1.0, 2.0, 1.0]

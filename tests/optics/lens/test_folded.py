@@ -147,9 +147,7 @@ def test_the_tables_of_the_page_are_valid(tmp_path):
     np.testing.assert_allclose(lens.surfaces[0].rotation, turn("x", 45.0), atol=1e-15)
     of_file, coefficients = glasses["glass"].values()
     assert set(of_file) == {"file", "name"}
-    assert float(glass_from_table("melt", coefficients).index(587.5618)) == pytest.approx(
-        1.5168, abs=5e-6
-    )  # N-BK7, printed
+    assert float(glass_from_table("melt", coefficients).index(587.5618)) == pytest.approx(1.5168, abs=5e-6)  # N-BK7
 
 
 def test_the_spherical_mirror_with_a_schmidt_plate_has_no_spherical_aberration():

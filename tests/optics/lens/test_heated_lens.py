@@ -13,7 +13,7 @@ from optics.lens.system import HALF_TURN, Surface
 from optics.rays.chief_ray import chief_ray_points
 
 LENS = load_lens("star_camera_206mm")
-ALUMINIUM = 23.6e-6
+ALUMINIUM, BICONVEX = 23.6e-6, (Sphere(radius_mm=60.0), Sphere(radius_mm=-45.0))
 ARCSEC = np.radians(1.0 / 3600.0)
 
 
@@ -56,9 +56,7 @@ def test_a_null_state_gives_the_lens_back_and_states_add():
 @pytest.mark.parametrize(("front", "back"), [(0.0, 0.0), (15.0, 0.0), (12.0, 18.0)])
 def test_spacers_that_touch_at_the_rim(front, back):
     """Glass that does not expand between spacers that do: contact, not vertex, moves with the spacer."""
-    lens = lens_of(
-        (Sphere(radius_mm=60.0), Sphere(radius_mm=-45.0)), (10.0, 18.0), ("g", "air"), 90.0, glasses=(glass(),)
-    )
+    lens = lens_of(BICONVEX, (10.0, 18.0), ("g", "air"), 90.0, glasses=(glass(),))
     mount = Mount(front_radius_mm=front, back_radius_mm=back)
     warm = heated_lens(lens, ThermalState(mean_k=40.0), Housing(expansion_per_k=1e-4, mounts={"E1": mount}))
     grow = np.exp(1e-4 * 40.0)
@@ -73,9 +71,7 @@ def test_spacers_that_touch_at_the_rim(front, back):
 
 
 def test_glass_and_housing_of_one_expansion_scale_whatever_the_mount():
-    lens = lens_of(
-        (Sphere(radius_mm=60.0), Sphere(radius_mm=-45.0)), (10.0, 18.0), ("g", "air"), 90.0, glasses=(glass(cte=1e-5),)
-    )
+    lens = lens_of(BICONVEX, (10.0, 18.0), ("g", "air"), 90.0, glasses=(glass(cte=1e-5),))
     mounts = {"E1": Mount(front_radius_mm=14.0, back_radius_mm=9.0)}
     warm = heated_lens(lens, ThermalState(mean_k=50.0), Housing(expansion_per_k=1e-5, mounts=mounts))
     assert warm.image_position_mm[2] == pytest.approx(90.0 * np.exp(5e-4), abs=1e-12)

@@ -37,16 +37,13 @@ def test_places_are_those_of_opencv():
     np.testing.assert_allclose(np.stack([x, -y], -1) / pitch, expected, atol=1e-9)
 
 
-def test_colour_scales_about_the_principal_point_and_shifts():
+def test_colour_scales_about_the_principal_point_and_no_place_behind_the_fold():
     lens, v = measured(), np.array([0.1, -0.05, 1.0])
     middle = lens.position_mm(v, 600.0)
     moved = lens.position_mm(v, 700.0) - middle  # half way from 600 to 800 nm
     expected = -1.5e-5 * (middle - [12e-3, -7e-3]) + [-0.05e-3, -0.15e-3]
     np.testing.assert_allclose(moved, expected, atol=1e-12)
     np.testing.assert_array_equal(lens.position_mm(v, 2000.0), lens.position_mm(v, 800.0))
-
-
-def test_stars_behind_the_fold_of_the_distortion_have_no_place():
     lens = measured(max_field_deg=5.0, camera={"focal_length_mm": 35.0, "q1_per_mm2": -1e-3})
     assert np.isnan(lens.position_mm(np.array([1.0, 0.0, 1.0]))).all()
     assert lens.relative(lens.position_mm(np.array([1.0, 0.0, 1.0]))) == 0.0

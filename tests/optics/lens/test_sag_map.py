@@ -156,16 +156,13 @@ def test_rays_outside_the_map_are_missed(tmp_path):
     assert (int(out.status), int(out.failed_at)) == (MISSED, 1)
 
 
-def test_it_is_read_from_text_in_any_unit_and_grows_with_the_glass(tmp_path):
+def test_it_is_read_from_text_beside_the_lens_file_in_any_unit_and_grows_with_the_glass(tmp_path):
     lens = measured(tmp_path, name="map.txt", unit="um")
     np.testing.assert_allclose(lens.surfaces[1].error.values_mm, MAP.values_mm, rtol=1e-15)
     warm = change_temperature(lens, 45.0, housing_cte_per_k=23.6e-6).surfaces[1].error
     growth = math.exp(lens.glasses["N-BK7"].cte_per_k * (45.0 - lens.environment.temperature_c))
     np.testing.assert_allclose(warm.values_mm, growth * MAP.values_mm, rtol=1e-14)
     assert warm.width_mm[0] == pytest.approx(20.0 * growth, rel=1e-14)
-
-
-def test_a_lens_file_finds_its_map_beside_itself(tmp_path):
     written(tmp_path)
     (tmp_path / "lens.toml").write_text(
         'name = "m"\nsource = "t"\ndesign_wavelength_nm = 600.0\nmax_field_deg = 1.0\n'

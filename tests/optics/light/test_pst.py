@@ -24,15 +24,6 @@ def test_a_table_comes_back_as_it_was(tmp_path, suffix: str) -> None:
         np.testing.assert_array_equal(getattr(back, name), getattr(pst, name))
 
 
-def test_astropy_reads_it(tmp_path) -> None:
-    from astropy.table import Table
-
-    table = Table.read(write_pst(tmp_path / "pst.ecsv", example()))
-    assert table["angle_deg"].unit == "deg"
-    assert table.meta["source"] == "it's"
-    assert table["ghosts"][1] == 0.01
-
-
 def test_power_laws_are_met_between_the_angles() -> None:
     pst = example()
     for angle in (1.0, 2.0, 7.0, 33.0):
@@ -74,9 +65,15 @@ def test_angles_are_spread_evenly_over_the_light() -> None:
     assert cliff().angles_by_value(4, 1e3, 1e4) == [90.0]  # darker than the least everywhere
 
 
-def test_a_plain_table_of_two_columns(tmp_path) -> None:
+def test_plain_tables_are_read_and_astropy_reads_ours(tmp_path) -> None:
     (tmp_path / "my.csv").write_text("# measured\nangle_deg,pst\n30,1e-8\n10,1e-6\n")
     pst = read_pst(tmp_path / "my.csv")
     np.testing.assert_array_equal(pst.total, [[1e-6, 1e-8]])
     (tmp_path / "both.csv").write_text("angle_deg,walls,total\n10,1e-6,2e-6\n")
     assert read_pst(tmp_path / "both.csv").total.item() == 1e-6
+    from astropy.table import Table
+
+    table = Table.read(write_pst(tmp_path / "pst.ecsv", example()))
+    assert table["angle_deg"].unit == "deg"
+    assert table.meta["source"] == "it's"
+    assert table["ghosts"][1] == 0.01

@@ -58,9 +58,7 @@ def test_cartesian_ellipsoid_images_a_star_perfectly(height):
     lens = made_lens((Conic(radius_mm=radius, conic=-1.0 / n**2), focus, "n15"), (Plane(), 0.0, "n15"))
     out = trace(lens, axial(height, -height, 0.0))
     np.testing.assert_allclose(out.y, 0.0, atol=2e-14)
-    np.testing.assert_allclose(
-        optical_path_mm(lens, out), n * focus, atol=5e-14
-    )  # Fermat: all paths to the image are equal
+    np.testing.assert_allclose(optical_path_mm(lens, out), n * focus, atol=5e-14)  # Fermat: equal paths
 
 
 def test_plano_hyperboloid_images_a_star_perfectly():
@@ -92,16 +90,13 @@ def test_status(lens, heights, status, failed_at):
     assert failed_at is None or tuple(out.failed_at) == failed_at
 
 
-def test_status_vignetted_tells_where_and_first_loss_wins():
+def test_status_vignetted_tells_where_first_loss_wins_in_the_frame_of_the_aperture():
     lens = made_lens((Plane(), 5.0, "n15"), (Sphere(radius_mm=-30.0), 10.0, "air"), semi_mm=8.0)
     lens = lens.with_surfaces({1: replace(lens.surfaces[1], semi_diameter_mm=5.0)})
     out = trace(lens, axial(4.999999, 5.000001, 7.999999, 8.000001, 25.0))
     assert out.status.tolist() == [OK, VIGNETTED, VIGNETTED, VIGNETTED, VIGNETTED]
     assert out.failed_at.tolist() == [-1, 1, 1, 0, 0]
     assert not np.isin(out.status[1:], [MISSED, TOTAL_REFLECTION]).any()
-
-
-def test_decentred_aperture_is_measured_in_its_own_frame():
     lens = decentre(made_lens((Plane(), 5.0, "air"), semi_mm=2.0), 0, y_mm=3.0)
     assert trace(lens, axial(0.999, 1.001, 4.999, 5.001)).status.tolist() == [VIGNETTED, OK, OK, VIGNETTED]
 

@@ -79,14 +79,6 @@ def test_bound_between_its_knots_is_that_of_the_star():
         np.testing.assert_allclose(found, np.sqrt(sigma**2 + 1 / 12) / 200, rtol=0.02)
 
 
-def test_no_method_beats_the_bound():
-    psf = gaussian_psf(0.8)
-    for name in ("windowed", "cog"):
-        found = prediction.predict_centroids(name, (psf,), [300.0, 3e4], noise=NOISE, window_px=11)
-        assert (found.noise_px > found.bound_px).all()
-        assert (found.phase_px > 0.0).all()
-
-
 def test_wrong_psf_is_what_the_fit_makes_of_it():
     """A fit psf a symmetric PSF on stars with a tail to the right: its bias, noiseless, for each phase and axis."""
     psf, wide = gaussian_psf(0.8), gaussian_psf(1.1)

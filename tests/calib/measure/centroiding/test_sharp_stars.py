@@ -75,7 +75,7 @@ def test_frames_with_structure_stay_within_the_frame():
     assert not outside.any()
 
 
-def test_psf_of_known_places_has_no_s_curve():
+def test_psf_of_known_places_has_no_s_curve_and_says_why_it_did_not_converge():
     """Sharp cores, no dithers: without places the S-curve of the Gaussian fit stays; with them pulls are 1."""
     rng = np.random.default_rng(2)
     flux = 1e5 * 10 ** rng.uniform(-1.0, 0.0, (300, 1, 1))
@@ -87,9 +87,6 @@ def test_psf_of_known_places_has_no_s_curve():
     assert pull[1] > 2.0
     assert held.converged
     assert not held.message
-
-
-def test_psf_says_why_it_did_not_converge():
     _, _, stamps = sampled_stars(lambda x, y: 1e4 * gaussian_stars(x, y, 0.6), np.random.default_rng(3), 40, 100.0)
     found = build_epsf(stamps, NOISE, oversampling=2, max_iterations=1, tolerance=1e-6)
     assert "after 1 rounds: 40 stars for 4 phases" in found.message

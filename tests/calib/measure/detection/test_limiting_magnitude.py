@@ -24,16 +24,13 @@ def test_a_detection_is_the_brightest_star_within_reach():
     assert detected_stars(star[:0], detection, np.ones(3), 1.5)[1].all()
 
 
-def test_limit_of_a_logistic_curve():
+def test_limit_of_a_logistic_curve_and_fractions_per_bin():
     """2000 stars of a curve of width 0.2 mag about 8.0: 4 standard errors, 4 * 2 * sqrt(0.2 * 4 / 2000) * 0.5."""
     rng = np.random.default_rng(1)
     magnitude = rng.uniform(6.0, 10.0, 2000)
     detected = rng.uniform(size=2000) < expit((8.0 - magnitude) / 0.2)
     assert limiting_magnitude(magnitude, detected) == pytest.approx(8.0, abs=0.08)
     assert np.isnan(limiting_magnitude(magnitude, np.ones(2000, bool)))
-
-
-def test_fractions_per_bin():
     count, fraction = completeness(
         np.array([5.1, 5.2, 5.6, 5.7]), np.array([True, False, True, True]), np.array([5.0, 5.5, 6.0, 6.5])
     )

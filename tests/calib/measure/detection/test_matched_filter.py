@@ -17,7 +17,7 @@ def grid(seed=3):
     return (x + rng.uniform(-0.5, 0.5, x.shape)).ravel(), (y + rng.uniform(-0.5, 0.5, y.shape)).ravel()
 
 
-def test_every_star_and_nothing_else():
+def test_every_star_and_nothing_else_and_of_none_an_empty_table():
     x, y = grid()
     flux = np.geomspace(1000.0, 50000.0, len(x))
     stars = detect(image_of(field(x, y, flux)))
@@ -29,9 +29,6 @@ def test_every_star_and_nothing_else():
     assert np.all(stars.flags == 0)
     assert np.all(np.diff(stars.flux_e) <= 0), "brightest first"
     assert np.allclose(stars.flux_e / flux[nearest], 1.0, atol=0.35)
-
-
-def test_nothing_found_is_an_empty_table():
     stars = detect(image_of(np.random.default_rng(1).normal(10.0, 5.0, (256, 256))), threshold_sigma=7.0)
     assert isinstance(stars, StarTable)
     assert len(stars) == 0

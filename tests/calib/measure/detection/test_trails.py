@@ -31,9 +31,7 @@ def test_shape_of_stars_is_as_they_were_drawn(trail_px, sigma_px):
     dn = 100.0 + 1e5 * gaussian_filter(image, sigma_px) + rng.standard_normal((size, size))
     shape = star_shape(dn, np.vstack([place, place[:1] + 3.0]), noise_dn=1.0)
     assert shape.trail_px == pytest.approx(trail_px, abs=0.3)
-    assert shape.width_px == pytest.approx(
-        np.hypot(sigma_px, 0.29 if trail_px else 0.0), rel=0.1
-    )  # rounding: 1 / sqrt(12)
+    assert shape.width_px == pytest.approx(np.hypot(sigma_px, 12**-0.5 if trail_px else 0.0), rel=0.1)  # rounding
     if trail_px:
         assert shape.angle_deg == pytest.approx(np.degrees(np.arctan2(0.6, 0.8)), abs=1.0)
     nothing = star_shape(dn, place[:2], noise_dn=1.0)

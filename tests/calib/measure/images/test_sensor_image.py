@@ -64,7 +64,7 @@ def test_foreign_files_give_the_stars(tmp_path, sky_dn, kind):
         assert (~image.valid).sum() == 17
 
 
-def test_keywords_and_arguments(tmp_path, sky_dn):
+def test_keywords_and_arguments_and_a_gain_that_speaks_of_electrons(tmp_path, sky_dn):
     path = tmp_path / "known.fits"
     header = fits.Header([("EGAIN", 1.25, "e-/ADU"), ("RDNOISE", 6.0), ("SATURATE", 9000.0), ("EXPTIME", 0.2)])
     fits.PrimaryHDU(np.rint(sky_dn[0]).astype(np.uint16), header=header).writeto(path)
@@ -76,9 +76,6 @@ def test_keywords_and_arguments(tmp_path, sky_dn):
     assert image.exposure_s == 0.2
     assert read_image(path, saturation_dn=1000.0).saturated.sum() > 5
     assert read_image(path, read_noise_e=3.0).noise.read_noise_e == 3.0
-
-
-def test_gain_keyword_only_where_it_speaks_of_electrons(tmp_path):
     data = np.random.default_rng(1).normal(100, 5, (32, 32)).astype(np.float32)
     for comment, assumed in (("[e-/ADU] conversion", False), ("setting of the amplifier", True)):
         path = tmp_path / f"{assumed}.fits"

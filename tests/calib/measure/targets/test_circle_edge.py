@@ -31,15 +31,6 @@ def test_centre_of_a_disk(soft, half_width, level):
     assert fit.centre == pytest.approx(centre, abs=6e-3)
 
 
-def test_hole_by_its_rising_edge():
-    centre = np.array([60.21, 59.64])
-    spokes = sample_spokes(1 - disk(centre, 25.0, 0.8), [60.0, 60.0], np.arange(5.0, 40.0, 0.5))
-    edge = edge_crossings(spokes, 0.5, rising=True, half_width=1.5)
-    fit = fit_circle(edge.point, sigma=edge.sigma)
-    assert fit.centre == pytest.approx(centre, abs=0.015)
-    assert fit.radius == pytest.approx(25.0, abs=0.05)
-
-
 def test_seen_at_an_angle():
     """A circle on a plane in perspective: measured in the plane it keeps its centre."""
     homography = np.array([[20.0, 0.0, 60.0], [0.0, 21.0, 60.0], [0.12, 0.0, 1.0]])
