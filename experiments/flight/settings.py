@@ -111,7 +111,7 @@ class AberrationConfig(StrictModel):
     )
 
 
-class StraylightConfig(StrictModel):
+class ExclusionConfig(StrictModel):
     """Background light, and exclusion angles inside which there is no attitude."""
 
     sun_file: FileName = Field(
@@ -193,7 +193,7 @@ class FlightConfig(SensorExperimentConfig, SensorConfig):
     jitter: JitterConfig = JitterConfig()
     temperature: TemperatureConfig = TemperatureConfig()
     aberration: AberrationConfig = AberrationConfig()
-    straylight: StraylightConfig = StraylightConfig()
+    straylight: ExclusionConfig = ExclusionConfig()
     tracker: TrackerConfig = TrackerConfig()
     frames: FlightFramesConfig = FlightFramesConfig()
     life: LifeConfig = LifeConfig(

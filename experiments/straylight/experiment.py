@@ -1,4 +1,4 @@
-"""Stray light: transmittance by cause, background, frames under the Sun, exclusion angle, effective changes."""
+"""Stray light: transmittance by cause, background, frames in sunlight, exclusion angles, variants of the baffle."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from experiments.harness.summary import Measured
 from experiments.harness.what_if import REQUIREMENTS, judge
 from experiments.straylight.drawing import draw_baffle, draw_causes, draw_frames
 from experiments.straylight.frames import SunFields, SunFrames, rms
-from experiments.straylight.settings import Config
+from experiments.straylight.settings import StraylightConfig
 from experiments.straylight.transmittance import bare_lens, behind_baffle, check_baffle
 from optics.arrays import FloatArray
 from optics.errors import DomainError
@@ -43,33 +43,33 @@ LABELS = {
 LIMB_DEG = (0.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0, 75.0, 90.0)
 
 
-def limits(config: Config) -> dict[str, tuple[float, bool]]:
-    """Requirements of the sensor file that are answered here."""
+def limits(config: StraylightConfig) -> dict[str, tuple[float, bool]]:
+    """Requirements of the sensor file that this experiment predicts."""
     key, required = "sun_exclusion_deg", config.requirements.sun_exclusion_deg
     return {} if required is None else {key: (float(required), key in AT_LEAST)}
 
 
-# --- The sensor in words
+# --- Sensor and baffle
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BaffledSensor:
-    """What light meets."""
+    """Sensor, baffle and accuracy of the transmittance."""
 
     name: str = col("Sensor")
     baffle: str = col("Baffle")
     coating: str = col("Coating")
     vanes: int = col("Vanes")
     shade_deg: float = col("Shade of the baffle begins at", "deg", ".2f")  # NaN without vanes
-    length_mm: float = col("Length of the baffle", "mm", ".1f")
-    diameter_mm: float = col("Diameter of the tube", "mm", ".1f")
-    entrance_mm: float = col("Radius of the entrance", "mm", ".2f")
-    field_deg: float = col("Half angle of the field, corner", "deg", ".2f")
+    baffle_length_mm: float = col("Length of the baffle", "mm", ".1f")
+    tube_diameter_mm: float = col("Diameter of the tube", "mm", ".1f")
+    entrance_radius_mm: float = col("Radius of the entrance", "mm", ".2f")
+    half_field_deg: float = col("Half angle of the field, corner", "deg", ".2f")
     rays: int = col("Rays through the baffle")
-    sun_e: float = col("Sun, electrons per pixel for a PST of 1", "e-", ".3g")
+    sun_e_at_unit_pst: float = col("Sun, electrons per pixel for a PST of 1", "e-", ".3g")
     walls_error_percent: float = col("Standard error of walls and vanes, largest", "percent", ".1f")
     walls_limit_percent: float = col("Standard error requested", "percent", ".1f")
-    whole_baffle: bool = col("No baffle was stated")
+    default_baffle: bool = col("No baffle was stated")
     stray: SensorTransmittance
     worst: WorstPaths | None
     worst_deg: float
@@ -80,30 +80,32 @@ class BaffledSensor:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Angle:
-    """One angle of the source."""
+class PstAngle:
+    """Transmittance at an angle of the source."""
 
-    angle_deg: float = col("Angle of the source", "deg", "g")
-    direct: float = col("Entrance in the light", format=".3f", shown=False)
-    pst_cause: FloatArray = col("PST by cause", format=".2e", dims="cause azimuth", shown=False)
-    pst: Sequence[Measured] = col("PST", format=".2e", dims="azimuth")
+    angle_deg: float = col("PstAngle of the source", "deg", "g")
+    sunlit_fraction: float = col("Sunlit fraction of the entrance", format=".3f", shown=False)
+    by_cause: FloatArray = col("PST by cause", format=".2e", dims="cause azimuth", shown=False)
+    total: Sequence[Measured] = col("PST", format=".2e", dims="azimuth")
     sun_e: FloatArray = col("Sun", "e-", ".3g", "azimuth")
     moon_e: FloatArray = col("Full Moon", "e-", ".3g", "azimuth", shown=False)
-    azimuth_deg: FloatArray  # Of the table
+    azimuth_deg: FloatArray
 
 
-def by_angle(stray: SensorTransmittance, light: BandLight, exposure_s: float) -> list[Angle]:
-    """The table, with electrons from Sun and Moon."""
+def by_angle(stray: SensorTransmittance, light: BandLight, exposure_s: float) -> list[PstAngle]:
+    """PST by angle, and electrons per pixel from Sun and Moon."""
     pst = stray.pst
-    total, error = pst.total, pst.total_error
+    value, error = pst.total, pst.total_error
     return [
-        Angle(
+        PstAngle(
             angle_deg=float(angle),
-            direct=float(stray.direct[0, a]),
-            pst_cause=pst.value[:, :, a],
-            pst=[Measured(value=float(v), uncertainty=float(e)) for v, e in zip(total[:, a], error[:, a], strict=True)],
-            sun_e=total[:, a] * light.sun_e_per_s * exposure_s,
-            moon_e=total[:, a] * light.full_moon_e_per_s * exposure_s,
+            sunlit_fraction=float(stray.direct[0, a]),
+            by_cause=pst.value[:, :, a],
+            total=[
+                Measured(value=float(v), uncertainty=float(e)) for v, e in zip(value[:, a], error[:, a], strict=True)
+            ],
+            sun_e=value[:, a] * light.sun_e_per_s * exposure_s,
+            moon_e=value[:, a] * light.full_moon_e_per_s * exposure_s,
             azimuth_deg=pst.azimuth_deg,
         )
         for a, angle in enumerate(pst.angle_deg)
@@ -114,17 +116,19 @@ def by_angle(stray: SensorTransmittance, light: BandLight, exposure_s: float) ->
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Limb:
-    """The limb of the Earth, in full light, at an angle from the boresight."""
+class EarthLimb:
+    """Stray light of the fully lit Earth, its limb at an angle from the boresight."""
 
-    limb_deg: float = col("Limb", "deg", "g")
+    limb_deg: float = col("EarthLimb", "deg", "g")
     earth_e: float = col("Earth", "e-", ".3g")
 
 
-def limb(config: Config, pst: PointSourceTransmittance, light: BandLight, angles: Sequence[float]) -> list[Limb]:
-    """Electrons per pixel by the Earth for a sensor at an altitude."""
+def limb(
+    config: StraylightConfig, pst: PointSourceTransmittance, light: BandLight, angles: Sequence[float]
+) -> list[EarthLimb]:
+    """Electrons per pixel from the Earth at the altitude of the sensor."""
     scale = light.sun_e_per_s * config.instrument.exposure_s
-    return [Limb(limb_deg=a, earth_e=scale * earth_limb_pst(pst, a, config.earth_altitude_km)) for a in angles]
+    return [EarthLimb(limb_deg=a, earth_e=scale * earth_limb_pst(pst, a, config.earth_altitude_km)) for a in angles]
 
 
 # --- Frames
@@ -132,49 +136,55 @@ def limb(config: Config, pst: PointSourceTransmittance, light: BandLight, angles
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SunAngle:
-    """Frames with the Sun at an angle, mean over the attitudes."""
+    """Frames with the Sun at an angle, means over the attitudes."""
 
     sun_deg: float = col("Sun", "deg", ".2f")
-    light_e: float = col("Stray light", "e-", ".3g")
-    found: Measured = col("Stars detected", format=".1f")
-    lost: Measured = col("Lost", "percent", ".1f")
-    false: Measured = col("False detections", format=".2f")
-    saturated: float = col("Saturated pixels", "percent", ".1f")
-    centroid_px: float = col("Centroid, RMS", "px", ".3f")
-    solved: float = col("Attitudes solved", "percent", ".0f")
-    cross_arcsec: float = col("Attitude across", "arcsec", ".2f")
-    roll_arcsec: float = col("Roll", "arcsec", ".2f")
+    stray_light_e: float = col("Stray light", "e-", ".3g")
+    stars_per_frame: Measured = col("Stars detected", format=".1f")
+    lost_percent: Measured = col("Lost", "percent", ".1f")
+    false_per_frame: Measured = col("False detections", format=".2f")
+    saturated_percent: float = col("Saturated pixels", "percent", ".1f")
+    centroid_error_px: float = col("Centroid, RMS", "px", ".3f")
+    solved_percent: float = col("Attitudes solved", "percent", ".0f")
+    attitude_cross_arcsec: float = col("Attitude across", "arcsec", ".2f")
+    attitude_roll_arcsec: float = col("Roll", "arcsec", ".2f")
     frames: SunFrames
     usable: bool
 
 
 def _mean(values: Any) -> Measured:
-    known = np.asarray(values, dtype=float)
-    error = float(known.std(ddof=1) / math.sqrt(len(known))) if len(known) > 1 else 0.0
-    return Measured(value=float(known.mean()), uncertainty=error, n=len(known))
+    sample = np.asarray(values, dtype=float)
+    error = float(sample.std(ddof=1) / math.sqrt(len(sample))) if len(sample) > 1 else 0.0
+    return Measured(value=float(sample.mean()), uncertainty=error, n=len(sample))
 
 
 def at_sun(
-    config: Config, bench: SunFields, stray: SensorTransmittance, scale_e: float, angle: float, before: SunFrames
+    config: StraylightConfig,
+    fields: SunFields,
+    stray: SensorTransmittance,
+    scale_e: float,
+    angle: float,
+    dark: SunFrames,
 ) -> SunAngle:
-    """Frames with the Sun at an angle."""
-    light = scale_e * stray.over_pixels(angle, bench.instrument.detector.shape)
-    seen = bench.look(light, "sky", before)
-    more = float(seen.false.mean() - before.false.mean())
-    full = bench.instrument.detector.full_well_e
+    """Frames with the Sun at an angle, against ``dark``: without it."""
+    light = scale_e * stray.over_pixels(angle, fields.instrument.detector.shape)
+    frames = fields.observe(light, "sky", dark)
+    added_false = float(frames.false.mean() - dark.false.mean())
+    full = fields.instrument.detector.full_well_e
     return SunAngle(
         sun_deg=angle,
-        light_e=float(light.mean()),
-        found=_mean(seen.found),
-        lost=_mean(100.0 * seen.lost),
-        false=_mean(seen.false),
-        saturated=float(100.0 * (light >= full).mean()),
-        centroid_px=rms(seen.error_px),
-        solved=float(100.0 * seen.solved.mean()),
-        cross_arcsec=rms(seen.error_arcsec[:, :2].ravel()),
-        roll_arcsec=rms(seen.error_arcsec[:, 2]),
-        frames=seen,
-        usable=more <= config.rates.false_per_frame and float(seen.lost.mean()) <= config.rates.lost_fraction,
+        stray_light_e=float(light.mean()),
+        stars_per_frame=_mean(frames.stars),
+        lost_percent=_mean(100.0 * frames.lost_fraction),
+        false_per_frame=_mean(frames.false),
+        saturated_percent=float(100.0 * (light >= full).mean()),
+        centroid_error_px=rms(frames.error_px),
+        solved_percent=float(100.0 * frames.solved.mean()),
+        attitude_cross_arcsec=rms(frames.error_arcsec[:, :2].ravel()),
+        attitude_roll_arcsec=rms(frames.error_arcsec[:, 2]),
+        frames=frames,
+        usable=added_false <= config.rates.false_per_frame
+        and float(frames.lost_fraction.mean()) <= config.rates.lost_fraction,
     )
 
 
@@ -188,60 +198,59 @@ class Exclusion:
     sun_exclusion_deg: float = col("Exclusion angle of the Sun", "deg", ".2f")
     moon_exclusion_deg: float = col("Exclusion angle of the full Moon", "deg", ".2f")
     earth_exclusion_deg: float = col("Exclusion angle of the Earth's limb", "deg", ".1f")
-    critical_e: float = col("Stray light at which frames cease to be usable", "e-", ".3g")
+    critical_stray_light_e: float = col("Stray light at which frames cease to be usable", "e-", ".3g")
     nearest_usable_deg: float = col("Smallest angle of the Sun with usable frames", "deg", ".2f")
     farthest_unusable_deg: float = col("Largest angle of the Sun without usable frames", "deg", ".2f")
     bounded: bool
 
 
 def exclusion(
-    config: Config,
+    config: StraylightConfig,
     stray: SensorTransmittance,
     light: BandLight,
     frames: list[SunAngle],
-    look: Callable[[float], SunAngle],
+    observe: Callable[[float], SunAngle],
 ) -> tuple[Exclusion, list[SunAngle]]:
-    """The largest angle at which a rate is passed, narrowed down by more frames; its light tells Moon and Earth."""
-    rows = sorted(frames, key=lambda one: one.sun_deg)
-    bad = [k for k, one in enumerate(rows) if not one.usable]
-    bounded = bool(bad) and bad[-1] < len(rows) - 1
+    """Largest Sun angle with unusable frames, by bisection with further frames; Moon and Earth at equal light."""
+    rows = sorted(frames, key=lambda row: row.sun_deg)
+    unusable_rows = [k for k, row in enumerate(rows) if not row.usable]
+    bounded = bool(unusable_rows) and unusable_rows[-1] < len(rows) - 1
     if bounded:
-        inner, outer = rows[bad[-1]], rows[bad[-1] + 1]
-        for _ in range(REFINED):
-            rows.append(middle := look(math.sqrt(inner.sun_deg * outer.sun_deg)))
+        inner, outer = rows[unusable_rows[-1]], rows[unusable_rows[-1] + 1]
+        for _ in range(BISECTIONS):
+            rows.append(middle := observe(math.sqrt(inner.sun_deg * outer.sun_deg)))
             inner, outer = (inner, middle) if middle.usable else (middle, outer)
-        critical = math.sqrt(max(inner.light_e, 1e-3) * max(outer.light_e, 1e-3))
+        critical = math.sqrt(max(inner.stray_light_e, 1e-3) * max(outer.stray_light_e, 1e-3))
         angle, usable, unusable = 0.5 * (inner.sun_deg + outer.sun_deg), outer.sun_deg, inner.sun_deg
-    elif bad:
-        critical, angle, usable, unusable = min(one.light_e for one in rows), 180.0, math.nan, rows[-1].sun_deg
+    elif unusable_rows:
+        critical, angle, usable, unusable = min(row.stray_light_e for row in rows), 180.0, math.nan, rows[-1].sun_deg
     else:
-        critical, angle, usable, unusable = max(one.light_e for one in rows), 0.0, rows[0].sun_deg, 0.0
+        critical, angle, usable, unusable = max(row.stray_light_e for row in rows), 0.0, rows[0].sun_deg, 0.0
     earth = limb(config, stray.pst, light, [0.5 * k for k in range(181)])
     return Exclusion(
         sun_exclusion_deg=angle,
         moon_exclusion_deg=float(
             stray.pst.last_angle_deg(critical / (light.full_moon_e_per_s * config.instrument.exposure_s))
         ),
-        earth_exclusion_deg=max((one.limb_deg for one in earth if one.earth_e > critical), default=0.0),
-        critical_e=critical,
+        earth_exclusion_deg=max((row.limb_deg for row in earth if row.earth_e > critical), default=0.0),
+        critical_stray_light_e=critical,
         nearest_usable_deg=usable,
         farthest_unusable_deg=unusable,
         bounded=bounded,
-    ), sorted(rows, key=lambda one: one.sun_deg)
+    ), sorted(rows, key=lambda row: row.sun_deg)
 
 
 FAINTEST_E = 2.0
-"""Stray light of the farthest Sun."""
-REFINED = 3
-"""Halvings between the last angle that is not usable and the next one."""
+"""Stray light at the largest angle of the Sun."""
+BISECTIONS = 3
 
 
 # --- What if
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Variant:
-    """A single change at a time."""
+class BaffleVariant:
+    """Sensor with a single change."""
 
     change: str = col("Change")
     outside_pst: float = col("PST 5 deg outside the shade", format=".2e")
@@ -250,38 +259,40 @@ class Variant:
     exclusion_deg: float = col("Exclusion angle of the Sun", "deg", ".1f")
 
 
-NEAR_DEG = 7.0
-"""Margin inside the shade from which variants are computed."""
+MARGIN_DEG = 7.0
+"""Variants are computed from this margin inside the shade angle on."""
 
 
 def changes(
-    config: Config, stray: SensorTransmittance, light: BandLight, critical: float, advance: Callable[[], None]
-) -> list[Variant]:
-    """Dust, coating and vanes; exclusion angles by the light at which frames cease to be usable."""
+    config: StraylightConfig, stray: SensorTransmittance, light: BandLight, critical: float, advance: Callable[[], None]
+) -> list[BaffleVariant]:
+    """Variants of dust, coating and vanes; exclusion angles at the critical stray light."""
     assert stray.lens is not None
     angles = np.array(config.pst.angles_deg)
     scale = light.sun_e_per_s * config.instrument.exposure_s
     tube = None if stray.scene is None else stray.scene.baffle
     shade = 35.0 if tube is None else tube.shade_deg
-    chosen = [int(a) for a in np.flatnonzero(angles >= shade - NEAR_DEG)]
-    own, rows = config.baffle, []
-    variants: list[tuple[str, Any, str]] = [("as it is", own, "dust")]
-    variants += [(f"dust of level {key.split()[1]}", own, key) for key in stray.lens.value if key.startswith("dust ")]
-    if own.fitted and not own.mesh:
-        others = [name for name in ("z306", "black_anodised", "magic_black") if name != own.coating]
-        variants += [(f"coating {name}", own.model_copy(update={"coating": name}), "dust") for name in others]
+    chosen = [int(a) for a in np.flatnonzero(angles >= shade - MARGIN_DEG)]
+    stated, rows = config.baffle, []
+    variants: list[tuple[str, Any, str]] = [("as it is", stated, "dust")]
+    variants += [
+        (f"dust of level {key.split()[1]}", stated, key) for key in stray.lens.value if key.startswith("dust ")
+    ]
+    if stated.fitted and not stated.mesh:
+        others = [name for name in ("z306", "black_anodised", "magic_black") if name != stated.coating]
+        variants += [(f"coating {name}", stated.model_copy(update={"coating": name}), "dust") for name in others]
         for label, update in (
-            ("edges twice as round", {"edge_radius_um": 2 * own.edge_radius_um}),
+            ("edges twice as round", {"edge_radius_um": 2 * stated.edge_radius_um}),
             ("no vanes", {"vanes": 0}),
             ("no baffle", {"fitted": False}),
         ):
-            variants.append((label, own.model_copy(update=update), "dust"))
+            variants.append((label, stated.model_copy(update=update), "dust"))
     for label, baffle, dust in variants:
-        same = baffle is own and dust == "dust"
-        pst = stray.pst if same else behind_baffle(config, stray.lens, baffle, dust=dust, chosen=chosen).pst
+        unchanged = baffle is stated and dust == "dust"
+        pst = stray.pst if unchanged else behind_baffle(config, stray.lens, baffle, dust=dust, chosen=chosen).pst
         outside, inside = pst.at(polar_direction([min(shade + 5.0, 89.0), shade - 5.0])).tolist()
         rows.append(
-            Variant(
+            BaffleVariant(
                 change=label,
                 outside_pst=outside,
                 outside_e=scale * outside,
@@ -296,49 +307,48 @@ def changes(
 # --- The run
 
 
-def run(config: Config, *, progress: Progress) -> dict[str, Any]:
-    """Transmittance, background, frames, exclusion angle, variants."""
+def run(config: StraylightConfig, *, progress: Progress) -> dict[str, Any]:
+    """Transmittance, background, frames in sunlight, exclusion angles, variants."""
     instrument = build_instrument(config.instrument)
     light = band_light(instrument.detector, open_band(config.passband, instrument))
     stray = _stray(config, instrument, progress)
     scale = light.sun_e_per_s * config.instrument.exposure_s
     with progress.stage("sky", total=config.frames.attitudes) as stage:
-        bench = SunFields(config, instrument, stage.advance)
-    before = bench.look(0.0, "sky")
-    if not before.found.any():
+        fields = SunFields(config, instrument, stage.advance)
+    dark = fields.observe(0.0, "sky")
+    if not dark.stars.any():
         raise DomainError(
             "no star is detected in frames without the Sun; lengthen the exposure or lower threshold_sigma"
         )
-    # from a few electrons to a full well
     full_e = instrument.detector.full_well_e
     angles = stray.pst.angles_by_value(config.frames.levels, FAINTEST_E / scale, full_e / scale)
 
-    def look(angle: float) -> SunAngle:
-        return at_sun(config, bench, stray, scale, angle, before)
+    def observe(angle: float) -> SunAngle:
+        return at_sun(config, fields, stray, scale, angle, dark)
 
     rows = []
-    with progress.stage("frames", total=len(angles) + REFINED) as stage:
+    with progress.stage("frames", total=len(angles) + BISECTIONS) as stage:
         for angle in angles:
-            rows.append(look(angle))
+            rows.append(observe(angle))
             stage.advance()
-        excluded, rows = exclusion(config, stray, light, rows, look)
-    found = None
+        excluded, rows = exclusion(config, stray, light, rows, observe)
+    variants = None
     if config.what_if and stray.lens is not None:
         with progress.stage("what if", total=9) as stage:
-            found = changes(config, stray, light, excluded.critical_e, stage.advance)
+            variants = changes(config, stray, light, excluded.critical_stray_light_e, stage.advance)
     required = judge(limits(config), numbers_of(excluded))
     return {
-        "setup": _setup(config, instrument, stray, scale),
+        "sensor": _baffled_sensor(config, instrument, stray, scale),
         "requirements": required or None,
         "pst": by_angle(stray, light, config.instrument.exposure_s),
         "limb": limb(config, stray.pst, light, LIMB_DEG),
         "frames": rows,
         "exclusion": excluded,
-        "changes": found,
+        "changes": variants,
     }
 
 
-def _stray(config: Config, instrument: Instrument, progress: Progress) -> SensorTransmittance:
+def _stray(config: StraylightConfig, instrument: Instrument, progress: Progress) -> SensorTransmittance:
     if config.pst.file:
         pst = read_pst(config.pst.file)
         return SensorTransmittance(pst=pst, direct=np.ones(pst.total.shape))
@@ -350,17 +360,19 @@ def _stray(config: Config, instrument: Instrument, progress: Progress) -> Sensor
         return behind_baffle(config, lens, config.baffle, advance=stage.advance)
 
 
-def _setup(config: Config, instrument: Instrument, stray: SensorTransmittance, scale: float) -> BaffledSensor:
-    baffle, nothing = None if stray.scene is None else stray.scene.baffle or stray.scene.mesh, math.nan
+def _baffled_sensor(
+    config: StraylightConfig, instrument: Instrument, stray: SensorTransmittance, scale: float
+) -> BaffledSensor:
+    baffle = None if stray.scene is None else stray.scene.baffle or stray.scene.mesh
     vaned = baffle if isinstance(baffle, VanedBaffle) else None
-    words = "none"
+    description = "none"
     if vaned is not None:
-        words = f"tube of {vaned.length_mm:.1f} mm with {len(vaned.vane_z_mm)} vanes"
+        description = f"tube of {vaned.length_mm:.1f} mm with {len(vaned.vane_z_mm)} vanes"
     elif baffle is not None:
-        words = Path(config.baffle.mesh).name
+        description = Path(config.baffle.mesh).name
     elif config.pst.file:
-        words = "part of the table"
-    worst, worst_deg = None, nothing
+        description = "part of the table"
+    worst, worst_deg = None, math.nan
     if stray.scene is not None:
         worst_deg = min(vaned.shade_deg + 5.0, 85.0) if vaned is not None else 45.0
         assert stray.weight is not None
@@ -368,19 +380,19 @@ def _setup(config: Config, instrument: Instrument, stray: SensorTransmittance, s
     coating = "" if stray.scene is None else f"{stray.scene.coating.name}: {stray.scene.coating.source}"
     return BaffledSensor(
         name=config.name or f"{instrument.camera.lens.name} on {instrument.detector.name}",
-        baffle=words,
+        baffle=description,
         coating=coating,
         vanes=0 if vaned is None else len(vaned.vane_z_mm),
-        shade_deg=nothing if vaned is None else vaned.shade_deg,
-        length_mm=nothing if vaned is None else vaned.length_mm,
-        diameter_mm=nothing if vaned is None else 2.0 * vaned.tube_mm,
-        entrance_mm=nothing if stray.lens is None else stray.lens.entrance_mm,
-        field_deg=0.5 * math.hypot(*instrument.field_deg),
+        shade_deg=math.nan if vaned is None else vaned.shade_deg,
+        baffle_length_mm=math.nan if vaned is None else vaned.length_mm,
+        tube_diameter_mm=math.nan if vaned is None else 2.0 * vaned.tube_mm,
+        entrance_radius_mm=math.nan if stray.lens is None else stray.lens.entrance_mm,
+        half_field_deg=0.5 * math.hypot(*instrument.field_deg),
         rays=stray.rays,
-        sun_e=scale,
+        sun_e_at_unit_pst=scale,
         walls_error_percent=stray.worst_percent,
         walls_limit_percent=100.0 * config.pst.walls_error,
-        whole_baffle=config.baffle == BaffleConfig(),
+        default_baffle=config.baffle == BaffleConfig(),
         stray=stray,
         worst=worst,
         worst_deg=worst_deg,
@@ -390,19 +402,19 @@ def _setup(config: Config, instrument: Instrument, stray: SensorTransmittance, s
 
 def save_table(result: dict[str, Any], folder: Path) -> None:
     """``pst.ecsv``, for ``observe(stray_light=)`` and ``dataset``."""
-    write_pst(folder / "pst.ecsv", result["setup"].stray.pst)
+    write_pst(folder / "pst.ecsv", result["sensor"].stray.pst)
 
 
-def _pst_axes(q: Quantities, found: Sequence[Angle]) -> None:
-    causes = len(found[0].pst_cause)
+def _pst_axes(q: Quantities, rows: Sequence[PstAngle]) -> None:
+    causes = len(rows[0].by_cause)
     names = list(CAUSES) if causes == len(CAUSES) else [f"cause_{n}" for n in range(causes)]
-    q.axis("cause", np.array(names, dtype=object), "Cause", names=[LABELS.get(one, one) for one in names])
-    azimuth = found[0].azimuth_deg
-    q.axis("azimuth", azimuth, "Azimuth", unit="deg", format="g", names=[f"at azimuth {one:g}°" for one in azimuth])
+    q.axis("cause", np.array(names, dtype=object), "Cause", names=[LABELS.get(name, name) for name in names])
+    azimuth = rows[0].azimuth_deg
+    q.axis("azimuth", azimuth, "Azimuth", unit="deg", format="g", names=[f"at azimuth {angle:g}°" for angle in azimuth])
 
 
 SECTIONS = {
-    "setup": Section(
+    "sensor": Section(
         record=BaffledSensor,
         figures={"baffle": draw_baffle},
         verdicts=[
@@ -416,18 +428,18 @@ SECTIONS = {
     ),
     "requirements": REQUIREMENTS,
     "pst": Section(
-        record=Angle,
+        record=PstAngle,
         dim="angle",
         along="angle_deg",
         axes=_pst_axes,
         table="transmittance",
         across="azimuth",
-        columns="pst sun_e",
+        columns="total sun_e",
         caption="Point-source transmittance against the angle of the source, and electrons per pixel by the Sun.",
         figures={"causes": draw_causes},
     ),
     "limb": Section(
-        record=Limb,
+        record=EarthLimb,
         dim="limb",
         along="limb_deg",
         caption="Electrons per pixel from the fully lit Earth.",
@@ -438,23 +450,25 @@ SECTIONS = {
         along="sun_deg",
         caption="Frames of the real sky by angle of the Sun, mean over the attitudes.",
         figures={
-            "rates": curves("light_e", points="lost", log="x", y="Stars lost", aspect_ratio=0.8, width="half"),
+            "rates": curves(
+                "stray_light_e", points="lost_percent", log="x", y="Stars lost", aspect_ratio=0.8, width="half"
+            ),
             "attitude": curves(
-                "light_e",
-                lines="cross_arcsec roll_arcsec",
+                "stray_light_e",
+                lines="attitude_cross_arcsec attitude_roll_arcsec",
                 log="xy",
                 y="Attitude, RMS",
                 aspect_ratio=0.8,
                 width="half",
             ),
-            "looks": draw_frames,
+            "example_frames": draw_frames,
         },
     ),
     "exclusion": Section(
         record=Exclusion, vertical=True, caption="Exclusion angles."
     ),
     "changes": Section(
-        record=Variant,
+        record=BaffleVariant,
         note="Exclusion angle: where the Sun's light falls to the tolerated light; end of the table: at no angle.",
         dim="variant",
         table="what_if",

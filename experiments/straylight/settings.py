@@ -45,7 +45,7 @@ class PstConfig(StrictModel):
         return values
 
 
-class FramesConfig(StrictModel):
+class SunFramesConfig(StrictModel):
     """Frames of the real sky in sunlight."""
 
     attitudes: int = Field(default=6, ge=2, le=1000, description="attitudes, uniform over all rotations")
@@ -66,7 +66,7 @@ class RatesConfig(StrictModel):
     )
 
 
-class Config(SensorExperimentConfig, SensorConfig):
+class StraylightConfig(SensorExperimentConfig, SensorConfig):
     """Sensor file; default: a 26 mm F/2 tracker with 1024 x 1024 px, 0.2 s and a baffle that shades from 35 deg on."""
 
     instrument: InstrumentConfig = InstrumentConfig(
@@ -77,7 +77,7 @@ class Config(SensorExperimentConfig, SensorConfig):
     dark_frames: int = Field(default=12, ge=1, le=1000, description="dark frames averaged")
     background_e_per_s: float = Field(default=2.0, ge=0, le=1e6, description="sky light per pixel without stray light")
     pst: PstConfig = PstConfig()
-    frames: FramesConfig = FramesConfig()
+    frames: SunFramesConfig = SunFramesConfig()
     rates: RatesConfig = RatesConfig()
     earth_altitude_km: float = Field(
         default=550.0, ge=150, le=1e6, description="altitude of the sensor above the Earth"
@@ -87,7 +87,7 @@ class Config(SensorExperimentConfig, SensorConfig):
 
 experiment = Experiment(
     name="straylight",
-    config=Config,
+    config=StraylightConfig,
     run="experiment:run",
     sections="experiment:SECTIONS",
     limits="experiment:limits",

@@ -1,4 +1,4 @@
-"""Transmittance of the configured sensor: its scatter laws, lens and baffle, and their variants."""
+"""Transmittance of the configured sensor: scatter laws, lens, baffle, and variants of dust."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 from experiments.harness.system import prompt_pool
 from experiments.laboratory.devices.scatter_laws import dust_law, surface_laws
-from experiments.straylight.settings import Config
+from experiments.straylight.settings import StraylightConfig
 from optics.errors import DomainError
 from optics.glass.coating import QuarterWave
 from optics.lens.system import LensSystem
@@ -25,22 +25,22 @@ from render.baffle.vaned_baffle import VanedBaffle
 from render.sensor_file.instrument import Instrument
 from render.sensor_file.stray import BaffleConfig
 
-DUSTIER = (100.0, 500.0, 1000.0)
-"""Cleanliness levels of the first surface that the dust of a variant may have."""
+VARIANT_LEVELS = (100.0, 500.0, 1000.0)
+"""Cleanliness levels of the first surface in the variants of dust."""
 
 
-def _laws(config: Config, lens: LensSystem) -> dict[str, dict[int, ScatterLaw]]:
+def _laws(config: StraylightConfig, lens: LensSystem) -> dict[str, dict[int, ScatterLaw]]:
     configured = surface_laws(lens, config.scatter, config.contamination)
     laws: dict[str, dict[int, ScatterLaw]] = {
         name: {number: law.bsdf for number, law in by_surface.items()} for name, by_surface in configured.items()
     }
     first = scattering_surfaces(lens)[0]
-    for level in DUSTIER if config.what_if else ():
+    for level in VARIANT_LEVELS if config.what_if else ():
         laws[f"dust {level:g}"] = laws["dust"] | {first: dust_law(lens, level, config.contamination).bsdf}
     return laws
 
 
-def bare_lens(config: Config, instrument: Instrument, advance: Callable[[], None]) -> LensTransmittance:
+def bare_lens(config: StraylightConfig, instrument: Instrument, advance: Callable[[], None]) -> LensTransmittance:
     """Ghosts and scatter of the lens for all directions of the source."""
     camera, setting = instrument.camera, config.pst
     lens = camera.focused_lens
@@ -58,7 +58,9 @@ def bare_lens(config: Config, instrument: Instrument, advance: Callable[[], None
             pupil=(setting.rings, setting.arms),
             ghost_rays=(setting.ghost_rings, setting.ghost_arms),
             detector_reflectance=config.scatter.detector_reflectance,
-            shade_deg=fitted.shade_deg if isinstance(fitted, VanedBaffle) else 90.0,  # a mesh may be lit from anywhere
+            shade_deg=fitted.shade_deg
+            if isinstance(fitted, VanedBaffle)
+            else 90.0,  # a mesh may be sunlit at any angle
             each=pool.map,
             advance=advance,
             coating=QuarterWave(design_wavelength_nm=coating_nm) if coating_nm else None,
@@ -70,8 +72,10 @@ def _field_deg(instrument: Instrument) -> float:
     return corner_field_deg(instrument.camera, instrument.focal_length_mm)
 
 
-def baffle_scene(config: Config, baffle: BaffleConfig, entrance_mm: float, field_deg: float) -> BaffleScene | None:
-    """A baffle ready to be lit; None for a bare lens."""
+def baffle_scene(
+    config: StraylightConfig, baffle: BaffleConfig, entrance_mm: float, field_deg: float
+) -> BaffleScene | None:
+    """Scene of a baffle for its illumination; None for a bare lens."""
     parts = configured_baffle(baffle, entrance_mm=entrance_mm, field_deg=field_deg)
     if parts is None:
         return None
@@ -82,7 +86,7 @@ def baffle_scene(config: Config, baffle: BaffleConfig, entrance_mm: float, field
         raise DomainError(f"baffle: {fault}") from None
 
 
-def check_baffle(config: Config, instrument: Instrument) -> None:
+def check_baffle(config: StraylightConfig, instrument: Instrument) -> None:
     """Early checks: refuse a lens without surfaces, an open mesh, vanes that cut the beam of the field."""
     lens = instrument.camera.focused_lens
     lens.check_surfaces()
@@ -94,7 +98,7 @@ def check_baffle(config: Config, instrument: Instrument) -> None:
 
 
 def behind_baffle(
-    config: Config,
+    config: StraylightConfig,
     lens: LensTransmittance,
     baffle: BaffleConfig,
     *,
@@ -102,7 +106,7 @@ def behind_baffle(
     chosen: Sequence[int] | None = None,
     advance: Callable[[], None] = lambda: None,
 ) -> SensorTransmittance:
-    """All causes together, with the lens's dust of a name and a baffle, at the numbers of some angles."""
+    """All causes of a lens behind a baffle; ``dust``: name of its dust law, ``chosen``: indices of the angles."""
     return sensor_transmittance(
         lens,
         baffle_scene(config, baffle, lens.entrance_mm, lens.field_deg),

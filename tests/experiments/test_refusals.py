@@ -50,13 +50,15 @@ from experiments.reduce.command import reduce as reduce_command
 from experiments.reduce.folder import read_folder
 from experiments.reduce.frames_toml import FolderLayout
 from experiments.statement.study import read_flight
+from experiments.straylight.experiment import run as run_straylight
+from experiments.straylight.settings import StraylightConfig
 from experiments.temporal.own_frames import own_frames as temporal_test
 from experiments.temporal.own_frames import reduce as temporal
 from experiments.temporal.settings import TemporalConfig
 from experiments.twin.folder import night_frames
 from experiments.twin.pipeline import measure_night
 from experiments.twin.settings import TwinConfig
-from optics.errors import BackendError, ConfigError, DomainError
+from optics.errors import BackendError, ConfigError, DomainError, StarbenchError
 
 Call = Callable[[Path], Any]
 
@@ -536,6 +538,29 @@ FLIGHT = [
      lambda _: heated(FlightConfig(), np.array([500.0, 0.0, 0.0, 0.0, 0.0])), DomainError, "temperature: "),
 ]  # fmt: skip
 
+# --- Stray light: baffle, lens, table
+
+
+def straylight(*settings: str) -> Call:
+    """A run of the experiment."""
+
+    def call(folder: Path) -> Any:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.chdir(folder)
+            return run_straylight(load_config(StraylightConfig, settings=list(settings)), progress=Progress())
+
+    return call
+
+
+STRAYLIGHT = [
+    ("coating", straylight("baffle.coating=own", "baffle.diffuse=-0.1"), ConfigError, "diffuse", "-0.1"),
+    ("shade", straylight("baffle.shade_deg=5"), DomainError, "shade_deg = 5", "outside the field"),
+    ("clearance", straylight("baffle.clearance_mm=-2"), StarbenchError, "cuts the beam of the field"),
+    ("mesh", straylight("baffle.mesh=none.ply"), StarbenchError, "none.ply", "no such file"),
+    ("ideal lens", straylight("instrument.lens={focal_length_mm=30.0, f_number=2.0}"), StarbenchError, "surfaces"),
+    ("table", straylight("pst.file=none.csv"), StarbenchError, "none.csv"),
+]  # fmt: skip
+
 # --- Statement: the folder of a flight
 
 
@@ -598,6 +623,7 @@ SECTIONS = {
     "lens": LENSES,
     "camera": CAMERA,
     "flight": FLIGHT,
+    "straylight": STRAYLIGHT,
     "statement": STATEMENT,
     "twin": TWIN,
     "harness": HARNESS,

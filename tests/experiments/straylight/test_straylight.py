@@ -1,4 +1,4 @@
-"""Stray light: bad input in a line, exclusion angle, variants, frames of a small sensor, the section of its baffle."""
+"""Stray light: exclusion angles, variants, frames of a small sensor, section of its baffle."""
 
 from types import SimpleNamespace
 
@@ -8,7 +8,7 @@ import pytest
 from experiments.harness.progress import Progress
 from experiments.straylight import drawing, experiment
 from experiments.straylight.experiment import changes, exclusion
-from experiments.straylight.settings import Config
+from experiments.straylight.settings import StraylightConfig
 from experiments.straylight.transmittance import bare_lens, behind_baffle, check_baffle
 from optics.frames import polar_direction
 from optics.light.pst import PointSourceTransmittance, read_pst
@@ -38,51 +38,53 @@ def cliff() -> SensorTransmittance:
     return SensorTransmittance(pst=pst, direct=np.ones((1, 6)))
 
 
-def frames(angle: float, light_e: float, usable: bool) -> SimpleNamespace:
-    """What `exclusion` needs of frames."""
-    return SimpleNamespace(sun_deg=angle, light_e=light_e, usable=usable)
+def frames(angle: float, stray_light_e: float, usable: bool) -> SimpleNamespace:
+    """Fields of `SunAngle` that `exclusion` reads."""
+    return SimpleNamespace(sun_deg=angle, stray_light_e=stray_light_e, usable=usable)
 
 
-def looked(angle: float) -> SimpleNamespace:
+def observed(angle: float) -> SimpleNamespace:
     light = 2e9 * float(cliff().pst.at(polar_direction(angle)))
     return frames(angle, light, light < 700.0)
 
 
 def test_the_exclusion_angle_is_where_frames_cease_to_be_usable() -> None:
-    stray, rows = cliff(), [looked(angle) for angle in (2.0, 20.0, 34.0, 60.0, 90.0)]
-    found, more = exclusion(Config(), stray, LIGHT, rows, looked)
+    stray, rows = cliff(), [observed(angle) for angle in (2.0, 20.0, 34.0, 60.0, 90.0)]
+    found, more = exclusion(StraylightConfig(), stray, LIGHT, rows, observed)
     truth = stray.pst.last_angle_deg(700.0 / 2e9)
     assert found.farthest_unusable_deg <= truth <= found.nearest_usable_deg
     assert found.sun_exclusion_deg == pytest.approx(truth, abs=4.0)
     assert len(more) == len(rows) + 3
     assert found.bounded
     # the Moon's light equals that where its PST is 1e6 times as large
-    assert found.moon_exclusion_deg == pytest.approx(stray.pst.last_angle_deg(found.critical_e / 2e3), rel=1e-9)
+    assert found.moon_exclusion_deg == pytest.approx(
+        stray.pst.last_angle_deg(found.critical_stray_light_e / 2e3), rel=1e-9
+    )
 
 
 @pytest.mark.parametrize(("usable", "angle"), [(True, 0.0), (False, 180.0)])
 def test_no_angle_and_every_angle(usable: bool, angle: float) -> None:
-    found, _ = exclusion(Config(), cliff(), LIGHT, [frames(a, 1.0, usable) for a in (10.0, 90.0)], looked)
+    found, _ = exclusion(StraylightConfig(), cliff(), LIGHT, [frames(a, 1.0, usable) for a in (10.0, 90.0)], observed)
     assert (found.sun_exclusion_deg, found.bounded) == (angle, False)
 
 
-def test_usable_again_nearer_by_does_not_count() -> None:
-    """The largest angle at which a rate is passed, however the frames look inside it."""
+def test_usable_frames_inside_the_exclusion_angle_do_not_count() -> None:
+    """The largest angle at which a rate is exceeded bounds the exclusion angle."""
     rows = [
         frames(a, light, ok)
         for a, light, ok in ((10.0, 900.0, False), (20.0, 10.0, True), (30.0, 800.0, False), (60.0, 5.0, True))
     ]
-    found, _ = exclusion(Config(), cliff(), LIGHT, rows, lambda a: frames(a, 100.0, a > 40.0))
+    found, _ = exclusion(StraylightConfig(), cliff(), LIGHT, rows, lambda a: frames(a, 100.0, a > 40.0))
     assert 30.0 < found.sun_exclusion_deg < 60.0
 
 
 def test_variants_change_one_thing_at_a_time(monkeypatch) -> None:
     """Each with its baffle and dust, at the angles near the shade; twice the light reaches 2^(1/4) as far inside."""
-    asked, stray = [], cliff()
+    computed, stray = [], cliff()
     stray = SensorTransmittance(pst=stray.pst, direct=stray.direct, lens=SimpleNamespace(value={"dust 500": None}))
 
     def twice(config, lens, baffle, *, dust, chosen):
-        asked.append((baffle.fitted, baffle.vanes, baffle.coating, baffle.edge_radius_um, dust))
+        computed.append((baffle.fitted, baffle.vanes, baffle.coating, baffle.edge_radius_um, dust))
         pst = stray.pst
         return SimpleNamespace(pst=PointSourceTransmittance(
             angle_deg=pst.angle_deg, azimuth_deg=pst.azimuth_deg, causes=pst.causes, value=2.0 * pst.value,
@@ -91,13 +93,13 @@ def test_variants_change_one_thing_at_a_time(monkeypatch) -> None:
 
     monkeypatch.setattr(experiment, "behind_baffle", twice)
     ticks = []
-    rows = changes(Config(), stray, LIGHT, 700.0, lambda: ticks.append(1))
+    rows = changes(StraylightConfig(), stray, LIGHT, 700.0, lambda: ticks.append(1))
     assert [row.change for row in rows] == [
         "as it is", "dust of level 500", "coating black_anodised", "coating magic_black", "edges twice as round",
         "no vanes", "no baffle",
     ]  # fmt: skip
     assert len(ticks) == len(rows)
-    assert asked == [
+    assert computed == [
         (True, None, "z306", 20.0, "dust 500"), (True, None, "black_anodised", 20.0, "dust"),
         (True, None, "magic_black", 20.0, "dust"), (True, None, "z306", 40.0, "dust"),
         (True, 0, "z306", 20.0, "dust"), (False, None, "z306", 20.0, "dust"),
@@ -110,12 +112,12 @@ def test_variants_change_one_thing_at_a_time(monkeypatch) -> None:
 
 
 @pytest.fixture(scope="module")
-def seen(tmp_path_factory):
-    """Frames of a small sensor under a table of one's own."""
+def result(tmp_path_factory):
+    """Frames of a small sensor with a tabulated PST."""
     file = tmp_path_factory.mktemp("pst") / "my.csv"
     file.write_text("angle_deg,pst\n1,1e-3\n30,1e-7\n40,1e-9\n90,1e-10\n")
     chip = {"lens": "star_tracker_26mm", "detector": "cmv4000", "width_px": 256, "height_px": 256, "exposure_s": 0.2}
-    config = Config.model_validate(
+    config = StraylightConfig.model_validate(
         {
             "instrument": {**chip, "diffraction": "rays", "defocus_mm": 0.0}, "passband": {"range_nm": [500, 800]},
             "centroid": "gaussian", "pst": {"file": str(file)}, "dark_frames": 2,
@@ -125,33 +127,32 @@ def seen(tmp_path_factory):
     return experiment.run(config, progress=Progress())
 
 
-def test_frames_under_a_table_of_ones_own(seen, tmp_path) -> None:
-    result = seen
-    rows, excluded, scale = result["frames"], result["exclusion"], result["setup"].sun_e
+def test_frames_with_a_tabulated_pst(result, tmp_path) -> None:
+    rows, excluded, scale = result["frames"], result["exclusion"], result["sensor"].sun_e_at_unit_pst
     for row in rows:
-        assert row.light_e == pytest.approx(scale * result["setup"].stray.pst.at(polar_direction(row.sun_deg)))
-    far, near = rows[-1], rows[0]
-    assert far.usable
-    assert (far.lost.value, far.false.value, far.solved) == (0.0, 0.0, 100.0)
-    assert far.centroid_px < 0.2
-    assert far.cross_arcsec < 30.0
-    assert not near.usable
-    assert near.found.value < far.found.value
-    assert near.saturated == 100.0
+        assert row.stray_light_e == pytest.approx(scale * result["sensor"].stray.pst.at(polar_direction(row.sun_deg)))
+    largest, smallest = rows[-1], rows[0]
+    assert largest.usable
+    assert (largest.lost_percent.value, largest.false_per_frame.value, largest.solved_percent) == (0.0, 0.0, 100.0)
+    assert largest.centroid_error_px < 0.2
+    assert largest.attitude_cross_arcsec < 30.0
+    assert not smallest.usable
+    assert smallest.stars_per_frame.value < largest.stars_per_frame.value
+    assert smallest.saturated_percent == 100.0
     assert excluded.farthest_unusable_deg < excluded.sun_exclusion_deg < excluded.nearest_usable_deg
-    edge = result["setup"].stray.pst.last_angle_deg(excluded.critical_e / scale)
-    assert excluded.sun_exclusion_deg == pytest.approx(edge, abs=2.0)
+    exclusion_deg = result["sensor"].stray.pst.last_angle_deg(excluded.critical_stray_light_e / scale)
+    assert excluded.sun_exclusion_deg == pytest.approx(exclusion_deg, abs=2.0)
     experiment.save_table(result, tmp_path)
     np.testing.assert_array_equal(read_pst(tmp_path / "pst.ecsv").total, [[1e-3, 1e-7, 1e-9, 1e-10]])
-    assert result["setup"].baffle == "part of the table"
+    assert result["sensor"].baffle == "part of the table"
     assert not result["requirements"][0].met
     assert [row.limb_deg for row in result["limb"]] == sorted(row.limb_deg for row in result["limb"])
     assert all(a.earth_e > b.earth_e for a, b in zip(result["limb"], result["limb"][1:], strict=False))
     assert [row.sun_e[0] for row in result["pst"]] == pytest.approx(scale * np.array([1e-3, 1e-7, 1e-9, 1e-10]))
 
 
-def test_pictures_hold_what_was_seen(seen) -> None:
-    outcome = SimpleNamespace(result=seen)
+def test_figures_of_the_frames(result) -> None:
+    outcome = SimpleNamespace(result=result)
     assert len(drawing.draw_frames(outcome).axes) == 3
     panel = drawing.draw_causes(outcome).axes[0]
     assert [line.get_label() for line in panel.lines][:2] == ["pst", "total"]
@@ -165,7 +166,9 @@ def test_lens_and_baffle_of_a_sensor_file(tmp_path, monkeypatch) -> None:
     chip = {"lens": str(tmp_path / "singlet.toml"), "detector": "cmv4000", "width_px": 256, "height_px": 256}
     pst = {"angles_deg": [5.0, 20.0, 40.0], "azimuths_deg": [0.0], "points": 3, "rings": 2, "ghost_rings": 4,
            "ghost_arms": 8, "walls_error": 0.99}  # fmt: skip
-    config = Config.model_validate({"instrument": {**chip, "absorption": False, "defocus_mm": 0.0}, "pst": pst})
+    config = StraylightConfig.model_validate(
+        {"instrument": {**chip, "absorption": False, "defocus_mm": 0.0}, "pst": pst}
+    )
     instrument, ticks = build_instrument(config.instrument), []
     check_baffle(config, instrument)
     lens = bare_lens(config, instrument, lambda: ticks.append(1))
@@ -176,28 +179,13 @@ def test_lens_and_baffle_of_a_sensor_file(tmp_path, monkeypatch) -> None:
     assert 0.0 < stray.direct[0, 1] < stray.direct[0, 0] < 1.0
     np.testing.assert_array_equal(stray.pst.value[:3, 0, 2], 0.0)  # in the shade
     assert (stray.pst.value[3:] > 0.0).all()
-    setup = experiment._setup(config, instrument, stray, 2e9)
-    assert setup.shade_deg == pytest.approx(35.0)
-    assert setup.vanes > 2
-    assert setup.worst_deg == pytest.approx(40.0)
-    outcome = SimpleNamespace(result={"setup": setup})
-    assert len(drawing.draw_baffle(outcome).axes[0].lines) > 2 * setup.vanes + len(setup.worst.share)
+    sensor = experiment._baffled_sensor(config, instrument, stray, 2e9)
+    assert sensor.shade_deg == pytest.approx(35.0)
+    assert sensor.vanes > 2
+    assert sensor.worst_deg == pytest.approx(40.0)
+    outcome = SimpleNamespace(result={"sensor": sensor})
+    assert len(drawing.draw_baffle(outcome).axes[0].lines) > 2 * sensor.vanes + len(sensor.worst.fraction)
     labels = {line.get_label() for line in drawing.draw_causes(outcome).axes[0].lines}
     assert labels > {"polish", "dust", "walls, vanes", "vane edges", "total"}
-    open_ = behind_baffle(config, lens, config.baffle.model_copy(update={"fitted": False}))
-    np.testing.assert_array_equal(open_.pst.value[3:], 0.0)
-
-
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        (["baffle.coating=own", "baffle.diffuse=-0.1"], "diffuse"),
-        (["baffle.shade_deg=5"], "outside the field"),
-        (["baffle.clearance_mm=-2"], "cuts the beam of the field"),
-        (["baffle.mesh=none.ply"], "no such file"),
-        (["instrument.lens={focal_length_mm=30.0, f_number=2.0}"], "surfaces"),
-        (["pst.file=none.csv"], "none.csv"),
-    ],
-)
-def test_bad_input_is_one_line(settings, words: str, refused_by) -> None:
-    assert words in refused_by("straylight", settings=settings)
+    unbaffled = behind_baffle(config, lens, config.baffle.model_copy(update={"fitted": False}))
+    np.testing.assert_array_equal(unbaffled.pst.value[3:], 0.0)
