@@ -1,4 +1,4 @@
-"""Detectors without noise and patterns."""
+"""Detectors without noise and patterns; a data sheet as a file."""
 
 from dataclasses import replace
 from typing import Any
@@ -13,6 +13,16 @@ SILENT = dict.fromkeys(
     ),
     0.0,
 )
+SHEET = """name = "own"
+source = "data sheet"
+chip_width_px = 640
+chip_height_px = 480
+pixel_pitch_um = 5.0
+full_well_e = 10000.0
+read_noise_e = 5.0
+adc_bits = 12
+"""
+CURVES = '[quantum_efficiency]\nsource = "test"\nfile = "qe.csv"\n[dark_current]\nfile = "dark.csv"\n'
 
 
 def ideal_detector(height_px: int, width_px: int, **changes: Any) -> Detector:

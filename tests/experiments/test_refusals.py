@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from astropy import units
 from astropy.table import Table
+from lens_texts import ZMX_DOUBLET
 from PIL import Image
 from target_frames import HEAD, readout, spots, write
 
@@ -436,25 +437,6 @@ HARNESS = [
     ("wavelength", lambda _: wavelength_colour(-1.0), DomainError, "-1.0 nm", "positive"),
 ]  # fmt: skip
 
-DOUBLET = """MODE SEQ
-UNIT MM X W X CM MR CPMM
-FNUM 5 0
-GCAT SCHOTT
-FTYP 0 0 2 2 0 0 0
-YFLN 0 2
-WAVM 1 0.55 1
-SURF 0
-  DISZ INFINITY
-SURF 1
-  STOP
-  CURV 0.016
-  DISZ 6
-  GLAS SSK5 0 0 1.65844 50.88
-SURF 2
-  CURV -0.02
-  DISZ 100
-SURF 3
-"""
 # --- Camera: predictions and sweeps
 
 
@@ -615,7 +597,7 @@ FILES = {
     "outer.csv": "files,outer\na_1.fits,3\n",
     "empty.ecsv": "",
     "chip.toml": "",
-    "doublet.zmx": DOUBLET,
+    "doublet.zmx": ZMX_DOUBLET,
 }
 SECTIONS = {
     "dataset": DATASETS,

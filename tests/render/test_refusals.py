@@ -15,6 +15,7 @@ import pytest
 from astropy import units as u
 from astropy.io import fits
 from catalogue_files import gaia_rows, plain_table, write_gaia
+from detectors import CURVES, SHEET
 from fields import star_catalog
 from scipy.spatial.transform import Rotation
 
@@ -274,9 +275,6 @@ MOTION = [
 
 FLAT = np.ones(CHIP.shape, np.float32)
 RED_BLUE = ExpectedImage(electrons=np.ones((*CHIP.shape, 2)), band=("red", "blue"), exposure_s=1.0, diffused=True)
-SHEET = """name = "own"\nsource = "data sheet"\nchip_width_px = 640\nchip_height_px = 480\npixel_pitch_um = 5.0
-full_well_e = 10000.0\nread_noise_e = 5.0\nadc_bits = 12\n"""
-CURVES = '[quantum_efficiency]\nsource = "test"\nfile = "qe.csv"\n[dark_current]\nfile = "dark.csv"\n'
 EFFICIENCY = 'base = "cmv4000"\n[quantum_efficiency]\nsource = "test"\n'
 
 

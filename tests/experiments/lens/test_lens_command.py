@@ -5,38 +5,11 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from lens_texts import ZMX_DOUBLET
 
 from experiments.__main__ import main
 from experiments.lens.tables import _prescription
 from optics import load_lens
-
-ZMX = """MODE SEQ
-NAME doublet <b>
-UNIT MM X W X CM MR CPMM
-FNUM 5 0
-GCAT SCHOTT
-FTYP 0 0 2 2 0 0 0
-YFLN 0 2
-WAVM 1 0.55 1
-WAVM 2 0.65 1
-PWAV 1
-SURF 0
-  DISZ INFINITY
-SURF 1
-  STOP
-  CURV 0.016
-  DISZ 6
-  GLAS N-BK7
-SURF 2
-  CURV -0.02
-  DISZ 3
-  GLAS SSK5 0 0 1.65844 50.88
-SURF 3
-  CURV -0.004
-  DISZ 100
-SURF 4
-"""
-
 
 AR = """
 [coating.ar]
@@ -49,7 +22,7 @@ design_wavelength_nm = 600.0
 def lens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "my lens.zmx"
-    path.write_text(ZMX, encoding="utf-16")
+    path.write_text(ZMX_DOUBLET, encoding="utf-16")
     return path
 
 

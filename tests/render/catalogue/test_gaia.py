@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from astropy.coordinates import SkyCoord
 from catalogue_files import gaia_rows, write_gaia
 
 from render.catalogue.gaia import load_gaia
@@ -93,10 +94,7 @@ KNOWN = {
 @pytest.mark.parametrize("name", KNOWN)
 def test_known_stars_are_at_their_places(sky, name):
     ra, dec, v = KNOWN[name]
-    place = np.array(
-        [np.cos(np.radians(ra)) * np.cos(np.radians(dec)), np.sin(np.radians(ra)) * np.cos(np.radians(dec)),
-         np.sin(np.radians(dec))]
-    )  # fmt: skip
+    place = SkyCoord(ra, dec, unit="deg").cartesian.xyz.value
     rows = sky.within(place, 30 * ARCSEC, magnitude_limit=v + 0.7)
     assert len(rows) == 1
     star = sky.catalog.select(rows)
@@ -134,9 +132,7 @@ COLOURED = {
 def test_columns_hold_bp_and_rp(sky, name):
     # G - V against BP-RP: M. Riello et al., A&A 649, A3 (2021), table C.2, sigma 0.03 mag
     ra, dec, v = COLOURED[name]
-    ra, dec = np.radians([ra, dec])
-    place = np.array([np.cos(ra) * np.cos(dec), np.sin(ra) * np.cos(dec), np.sin(dec)])
-    rows = sky.within(place, 20 * ARCSEC)
+    rows = sky.within(SkyCoord(ra, dec, unit="deg").cartesian.xyz.value, 20 * ARCSEC)
     row = rows[np.argmin(sky.catalog.magnitude[rows])]
     c = sky.catalog.bp_rp_mag[row]
     predicted = sky.catalog.magnitude[row] + 0.02704 - 0.01424 * c + 0.2156 * c**2 - 0.01426 * c**3

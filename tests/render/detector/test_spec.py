@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from detectors import CURVES, SHEET
 
 from optics.errors import DomainError
 from render.detector.spec import Detector, list_detectors, load_detector
@@ -43,18 +44,6 @@ def test_dark_current_over_temperature_is_that_of_the_data_sheet() -> None:
         kelvin = celsius + 273.15
         stated = 250.0 * 1.14e6 * kelvin**3 * np.exp(-9080.0 / kelvin)
         assert chip.dark_current_e_per_s * chip.dark_factor(celsius) == pytest.approx(stated, rel=0.01)
-
-
-SHEET = """name = "mine"
-source = "data sheet"
-chip_width_px = 640
-chip_height_px = 480
-pixel_pitch_um = 5.0
-full_well_e = 10000.0
-read_noise_e = 5.0
-adc_bits = 12
-"""
-CURVES = '[quantum_efficiency]\nsource = "me"\nfile = "qe.csv"\n[dark_current]\nfile = "dark.csv"\n'
 
 
 def test_a_data_sheet_with_curves_from_csv(tmp_path: Path) -> None:

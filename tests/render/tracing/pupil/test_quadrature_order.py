@@ -81,6 +81,15 @@ def stamps(tracer, stars, pupil, size=14):
     )
 
 
+def only_group(tracer, stars):
+    """The stars, all of whose beams are sampled alike."""
+    planner = tracer.planner
+    exposure = planner.exposure(tracer._in_cam(stars, None), stars.wavelength_nm)
+    group, rest = planner.sampled_by_rays(exposure).groups
+    assert (len(group.members), len(rest.members)) == (len(stars), 0)
+    return group
+
+
 @pytest.mark.parametrize("defocus_mm", [0.01, 0.05])
 def test_quadrature_converges_exponentially(engine, bench, defocus_mm):
     camera = bench.camera_of(defocus_mm=defocus_mm)
@@ -103,11 +112,7 @@ def test_chosen_order_keeps_its_tolerance(engine, bench, diffusion_px, defocus_m
     rng = np.random.default_rng(3)
     stars = bench.stars_at(camera, rng.uniform(10, 4085, 12), rng.uniform(10, 2037, 12))
     tracer = Tracer(camera)
-    planner = tracer.planner
-    exposure = planner.exposure(tracer._in_cam(stars, None), stars.wavelength_nm)
-    group, rest = planner.sampled_by_rays(exposure).groups
-    assert len(group.members) == 12
-    assert len(rest.members) == 0
+    group = only_group(tracer, stars)
     assert group.error < TOLERANCE
     fine = stamps(tracer, stars, staggered((60, 120), 3), size=22).pixels
     assert np.abs(stamps(tracer, stars, group.of(group.members), size=22).pixels - fine).max() < TOLERANCE
@@ -120,11 +125,7 @@ def test_order_inside_outlines_is_high_enough_and_not_far_too_high(engine, bench
     rng = np.random.default_rng(4)
     stars = bench.stars_at(camera, *rng.uniform(500, 1540, (2, 12)), bands=((625.0, 400.0),), nodes=6)
     tracer = Tracer(camera, tolerance=tolerance)
-    planner = tracer.planner
-    exposure = planner.exposure(tracer._in_cam(stars, None), stars.wavelength_nm)
-    group, rest = planner.sampled_by_rays(exposure).groups
-    assert len(group.members) == 12
-    assert len(rest.members) == 0
+    group = only_group(tracer, stars)
 
     def error(order):
         pixels = stamps(tracer, stars, group.points(order, group.members), size=30).pixels
