@@ -14,9 +14,7 @@ from calib.calibration.star_bench import (
     star_vectors,
 )
 from calib.calibration.table_reduction import PoseData, calibrate_on_table, calibrated_bench, predicted_scatter
-from calib.directional.fisher import mean_and_chords
-from calib.directional.pixel_method import residual_sigma_px
-from calib.directional.vector_accuracy import vector_accuracy
+from calib.directional import fisher, pixel_method, vector_accuracy
 from calib.directional.vector_scatter import (
     pixel_method_scatter,
     scatter_of_other_data,
@@ -48,8 +46,8 @@ def test_the_prediction_is_what_noisy_data_scatter(bench, angle):
     for _ in range(800):
         pixel = exact + SIGMA_PX * rng.standard_normal(exact.shape)
         read = angle + READING_RAD * rng.standard_normal(angle.shape)
-        sums.append(mean_and_chords(star_vectors(MODEL, bench, pixel, read)[None])[1].sum())
-        ratios.append(residual_sigma_px(residual_px(MODEL, bench, pixel, read)) / np.sqrt(sums[-1]))
+        sums.append(fisher.mean_and_chords(star_vectors(MODEL, bench, pixel, read)[None])[1].sum())
+        ratios.append(pixel_method.residual_sigma_px(residual_px(MODEL, bench, pixel, read)) / np.sqrt(sums[-1]))
     error = np.std(sums) / np.sqrt(len(sums))
     assert np.mean(sums) == pytest.approx(predicted.sum_rad2, abs=4 * error)
     assert np.var(sums) == pytest.approx(predicted.variance_rad4, rel=4 * np.sqrt(2 / 800))
@@ -89,7 +87,7 @@ def test_same_data_and_others_by_real_calibrations(bench):
         assert found.converged
         own = calibrated_bench(found, bench.table)
         vectors = [star_vectors(found.model, own, data.pixel_px, data.reading_rad) for data in (first, second)]
-        sums.append([mean_and_chords(one[None])[1].sum() for one in vectors])
+        sums.append([fisher.mean_and_chords(one[None])[1].sum() for one in vectors])
         solution = found.solution
         order = star_last(solution.names)
         scatter = predicted_scatter(found, own, angle, noise)
@@ -112,7 +110,7 @@ def test_evaluation_of_coordinates(bench, angle):
     pixel = MODEL.project(bench.star_in_cam(angle)) + SIGMA_PX * rng.standard_normal((81, 2))
     pixel[40] += [1.5, 0.0]  # a wrong centroid
     vectors = star_vectors(MODEL, bench, pixel, reading)
-    judged = vector_accuracy(vectors, residual_px(MODEL, bench, pixel, reading))
+    judged = vector_accuracy.vector_accuracy(vectors, residual_px(MODEL, bench, pixel, reading))
     np.testing.assert_array_equal(np.flatnonzero(judged.outlier), [40])
     assert judged.fit.count == 80
     across = np.cross(bench.table.angle_rates(angle), bench.star)  # of a reading's error, what moves the vector

@@ -8,30 +8,26 @@ from lens_texts import MINIMAL, loaded
 
 from optics import Environment, EvenAsphere, field_direction, list_lenses, load_lens, paraxial, spot_moments
 from optics.lens.system import AMBIENT
-from optics.rays.chief_ray import chief_ray_points
-from optics.rays.distortion import distortion_map, plate_scale_mm
+from optics.rays import chief_ray, distortion, lateral_colour, pupil_sampling, trace
 from optics.rays.entrance_pupil import entrance_pupil, star_rays
-from optics.rays.lateral_colour import lateral_colour
-from optics.rays.pupil_sampling import PupilSamples
-from optics.rays.trace import trace_path
 
 PIXEL_MM = 5.5e-3
 STAR_CAMERA = "star_camera_206mm"
 
 
-def printed_sampling() -> PupilSamples:
+def printed_sampling() -> pupil_sampling.PupilSamples:
     """Rings at r = 0, 1/23, ..., 1 weighted by r: the coarse rule that the printed lateral colours follow.
     It gives the rim more than its share; the converged integral differs by up to 0.005 px (next test)."""
     r, phi = np.arange(1, 24) / 23.0, 2.0 * np.pi * np.arange(24) / 24
     weight = np.repeat(r, 24)
-    return PupilSamples(
+    return pupil_sampling.PupilSamples(
         x=np.outer(r, np.cos(phi)).ravel(), y=np.outer(r, np.sin(phi)).ravel(), weight=weight / weight.sum()
     )
 
 
 @pytest.mark.parametrize(("wavelength", "printed"), [(500.0, 206.230), (600.0, 206.237), (800.0, 206.286)])
 def test_star_camera_focal_length_in_the_image_plane_and_f_number(wavelength, printed):
-    assert plate_scale_mm(load_lens(STAR_CAMERA), wavelength) == pytest.approx(printed, abs=0.0006)
+    assert distortion.plate_scale_mm(load_lens(STAR_CAMERA), wavelength) == pytest.approx(printed, abs=0.0006)
     assert paraxial(load_lens(STAR_CAMERA)).f_number == pytest.approx(2.95, abs=0.005)
 
 
@@ -50,7 +46,7 @@ def test_star_camera_lateral_colour_of_the_bundle_mean(wavelength):
     np.testing.assert_allclose(
         (spots.x_mm[:, 0] - spots.x_mm[:, 1]) / PIXEL_MM, PRINTED_COLOUR[wavelength], atol=5.5e-4
     )
-    converged = lateral_colour(lens, field, zero, wavelength)[0][:, 0] / PIXEL_MM
+    converged = lateral_colour.lateral_colour(lens, field, zero, wavelength)[0][:, 0] / PIXEL_MM
     np.testing.assert_allclose(converged, PRINTED_COLOUR[wavelength], atol=5e-3)
 
 
@@ -66,10 +62,10 @@ def test_star_camera_distortion():
     batoid and optiland agree with the half (test_reference_trace); the printed figure has a factor 2 of unknown origin.
     """
     lens = load_lens(STAR_CAMERA)
-    grid = distortion_map(lens, count=3)
+    grid = distortion.distortion_map(lens, count=3)
     assert 100.0 * grid.relative[0, 0] == pytest.approx(-0.0140, abs=5e-5)
-    x, _ = chief_ray_points(lens, 3.5, 0.0)
-    ideal = plate_scale_mm(lens) * np.tan(np.radians(3.5))
+    x, _ = chief_ray.chief_ray_points(lens, 3.5, 0.0)
+    ideal = distortion.plate_scale_mm(lens) * np.tan(np.radians(3.5))
     assert (float(x) - ideal) / PIXEL_MM == pytest.approx(-0.32, abs=5e-3)
     assert (float(x) - ideal) / PIXEL_MM * 2.0 == pytest.approx(-0.64, abs=5e-3)
 
@@ -129,11 +125,11 @@ def test_star_camera_beam_needs_the_printed_clear_apertures():
     """Printed with the design to 0.1 mm, some rounded up: semi-diameters that the unvignetted 3.5 deg beam needs."""
     lens = load_lens(STAR_CAMERA)
     phi = np.linspace(0.0, 2.0 * np.pi, 721)
-    rim = PupilSamples(x=np.cos(phi), y=np.sin(phi), weight=np.full(phi.size, 1.0 / phi.size))
+    rim = pupil_sampling.PupilSamples(x=np.cos(phi), y=np.sin(phi), weight=np.full(phi.size, 1.0 / phi.size))
     wide = lens.with_surfaces({0: replace(lens.surfaces[0], semi_diameter_mm=35.0 * (1.0 + 1e-9))})
     waves = np.array([500.0, 600.0, 700.0, 850.0])
     rays = star_rays(entrance_pupil(lens), rim, field_direction(np.full(4, 3.5), 0.0), waves)
-    points = trace_path(wide, rays)[2:-1]
+    points = trace.trace_path(wide, rays)[2:-1]
     needed = np.hypot(points[..., 0], points[..., 1]).max(axis=(1, 2))
     printed = [35.2, 34.9, 33.5, 33.6, 34.4, 33.5, 25.7, 23.7, 21.1, 13.8, 13.4]
     np.testing.assert_allclose(needed, printed, atol=0.1)

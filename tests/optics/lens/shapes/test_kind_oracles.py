@@ -10,13 +10,9 @@ from optics import CATALOGUE_AIR, VACUUM, Conic, EvenAsphere, Rays, trace, zerni
 from optics.arrays import NUMPY
 from optics.lens.geometry import axial_ray
 from optics.lens.prescription import lens_from_table
-from optics.lens.shapes.biconic import Biconic
+from optics.lens.shapes import biconic, forbes_asphere, odd_asphere, xy_polynomial, zernike
 from optics.lens.shapes.cylinder import Cylinder
-from optics.lens.shapes.forbes_asphere import Qbfs, Qcon
-from optics.lens.shapes.odd_asphere import OddAsphere
 from optics.lens.shapes.toroid import Toroid
-from optics.lens.shapes.xy_polynomial import XYPolynomial
-from optics.lens.shapes.zernike import Zernike
 from optics.rays.paraxial import axial_paraxial
 
 R, RHO = 30.0, 9.0
@@ -52,10 +48,10 @@ def one(m):
 def test_forbes_polynomials_are_the_printed_ones(m):
     r, x = RHO * U, U**2
     conic = Conic(radius_mm=R, conic=-0.7).sag(r, NOTHING)
-    qcon = Qcon(radius_mm=R, conic=-0.7, norm_radius_mm=RHO, q_mm=one(m)).sag(r, NOTHING)
+    qcon = forbes_asphere.Qcon(radius_mm=R, conic=-0.7, norm_radius_mm=RHO, q_mm=one(m)).sag(r, NOTHING)
     np.testing.assert_allclose(qcon - conic, 1e-2 * U**4 * QCON_PRINTED[m](x), atol=1e-14)
     sphere = R - np.sqrt(R**2 - r**2)
-    qbfs = Qbfs(radius_mm=R, norm_radius_mm=RHO, q_mm=one(m)).sag(r, NOTHING)
+    qbfs = forbes_asphere.Qbfs(radius_mm=R, norm_radius_mm=RHO, q_mm=one(m)).sag(r, NOTHING)
     bump = U**2 * (1 - U**2) / np.sqrt(1 - (r / R) ** 2)
     np.testing.assert_allclose(qbfs - sphere, 1e-2 * bump * QBFS_PRINTED[m](x), atol=1e-14)
 
@@ -66,7 +62,7 @@ def test_mild_forbes_asphere_departs_along_the_normal_of_its_conic(k):
     r, step = RHO * U, 1e-6
     conic = Conic(radius_mm=R, conic=k)
     slope = (conic.sag(r + step, NOTHING) - conic.sag(r - step, NOTHING)) / (2 * step)
-    shape = Qbfs(radius_mm=R, conic=k, norm_radius_mm=RHO, q_mm=one(2))
+    shape = forbes_asphere.Qbfs(radius_mm=R, conic=k, norm_radius_mm=RHO, q_mm=one(2))
     normal = 1e-2 * U**2 * (1 - U**2) * QBFS_PRINTED[2](U**2)
     np.testing.assert_allclose(shape.sag(r, NOTHING) - conic.sag(r, NOTHING), normal * np.hypot(1.0, slope), atol=1e-11)
 
@@ -77,7 +73,7 @@ def test_forbes_mild_polynomials_have_orthonormal_slopes_to_high_order():
     u, flat = np.sin(theta), 1e9
     slopes = []
     for m in range(20):
-        shape = Qbfs(radius_mm=flat, norm_radius_mm=1.0, q_mm=(0.0,) * m + (1.0,))
+        shape = forbes_asphere.Qbfs(radius_mm=flat, norm_radius_mm=1.0, q_mm=(0.0,) * m + (1.0,))
         slope = shape.profile(shape.parameters(), u**2, NUMPY)[1] - 0.5 / flat  # dz/d(u^2)
         slopes.append(2 * u * slope)
     gram = np.mean(np.array(slopes)[:, None] * np.array(slopes)[None], axis=-1)
@@ -87,13 +83,13 @@ def test_forbes_mild_polynomials_have_orthonormal_slopes_to_high_order():
 def test_an_odd_asphere_without_odd_terms_is_an_even_one():
     r = RHO * U
     even = EvenAsphere(radius_mm=R, conic=-0.4, asphere=(2e-5, -1e-7, 3e-10))
-    odd = OddAsphere(radius_mm=R, conic=-0.4, terms=(0.0, 0.0, 0.0, 2e-5, 0.0, -1e-7, 0.0, 3e-10))
+    odd = odd_asphere.OddAsphere(radius_mm=R, conic=-0.4, terms=(0.0, 0.0, 0.0, 2e-5, 0.0, -1e-7, 0.0, 3e-10))
     np.testing.assert_allclose(odd.sag(r, NOTHING), even.sag(r, NOTHING), atol=1e-15)
     # a paraboloid is a plane with a term in r^2, of the same curvature
-    bowl = OddAsphere(terms=(0.0, 0.5 / R))
+    bowl = odd_asphere.OddAsphere(terms=(0.0, 0.5 / R))
     np.testing.assert_allclose(bowl.sag(r, NOTHING), Conic(radius_mm=R, conic=-1.0).sag(r, NOTHING), atol=1e-15)
     assert bowl.curvature == pytest.approx(1.0 / R, rel=1e-15)
-    cubic = OddAsphere(radius_mm=R, terms=(0.0, 0.0, 1e-4))
+    cubic = odd_asphere.OddAsphere(radius_mm=R, terms=(0.0, 0.0, 1e-4))
     np.testing.assert_allclose(cubic.sag(r, NOTHING) - Conic(radius_mm=R, conic=0.0).sag(r, NOTHING), 1e-4 * r**3)
 
 
@@ -102,7 +98,7 @@ def test_zernike_sag_is_the_sum_of_jacobi_polynomials(ordering, count):
     random = np.random.default_rng(3)
     x, y = random.uniform(-RHO / 1.5, RHO / 1.5, (2, 40))
     a = 1e-3 * random.normal(size=count)
-    shape = Zernike(norm_radius_mm=RHO, ordering=ordering, coefficients_mm=tuple(a))
+    shape = zernike.Zernike(norm_radius_mm=RHO, ordering=ordering, coefficients_mm=tuple(a))
     expected = a @ zernikes(x / RHO, y / RHO, count, ordering)
     np.testing.assert_allclose(shape.sag(x, y), expected, atol=2e-11 if count > 100 else 1e-14)
 
@@ -115,7 +111,7 @@ def test_a_polynomial_has_its_terms_in_the_order_of_design_programs():
     grid = np.zeros((5, 5))
     for name, value in zip(names, a, strict=True):
         grid[name.count("x"), name.count("y")] = value
-    shape = XYPolynomial(radius_mm=R, conic=0.3, norm_radius_mm=RHO, coefficients_mm=tuple(a))
+    shape = xy_polynomial.XYPolynomial(radius_mm=R, conic=0.3, norm_radius_mm=RHO, coefficients_mm=tuple(a))
     conic = Conic(radius_mm=R, conic=0.3).sag(x, y)
     np.testing.assert_allclose(shape.sag(x, y) - conic, polyval2d(x / RHO, y / RHO, grid), atol=1e-14)
 
@@ -138,12 +134,12 @@ def test_a_toroid_is_its_profile_turned_about_the_axis():
 
 
 def test_a_biconic_is_a_conic_along_each_axis():
-    shape = Biconic(radius_x_mm=25.0, radius_y_mm=-60.0, conic_x=0.3, conic_y=-1.2)
+    shape = biconic.Biconic(radius_x_mm=25.0, radius_y_mm=-60.0, conic_x=0.3, conic_y=-1.2)
     r = RHO * U
     np.testing.assert_allclose(shape.sag(r, NOTHING), Conic(radius_mm=25.0, conic=0.3).sag(r, NOTHING), atol=1e-15)
     np.testing.assert_allclose(shape.sag(NOTHING, r), Conic(radius_mm=-60.0, conic=-1.2).sag(r, NOTHING), atol=1e-15)
     x, y = np.random.default_rng(5).uniform(-6.0, 6.0, (2, 30))
-    same = Biconic(radius_x_mm=25.0, radius_y_mm=25.0, conic_x=0.3, conic_y=0.3)
+    same = biconic.Biconic(radius_x_mm=25.0, radius_y_mm=25.0, conic_x=0.3, conic_y=0.3)
     np.testing.assert_allclose(same.sag(x, y), Conic(radius_mm=25.0, conic=0.3).sag(x, y), atol=1e-15)
 
 

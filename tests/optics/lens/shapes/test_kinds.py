@@ -12,15 +12,8 @@ from optics import Conic, EvenAsphere, Plane, Rays, Sphere, paraxial, trace
 from optics.arrays import NUMPY
 from optics.errors import DomainError
 from optics.lens.perturb import change_shape, change_temperature, decentre, tilt
-from optics.lens.shapes.biconic import Biconic
+from optics.lens.shapes import biconic, forbes_asphere, odd_asphere, registry, thin_lens, toroid, xy_polynomial, zernike
 from optics.lens.shapes.cylinder import Cylinder
-from optics.lens.shapes.forbes_asphere import Qbfs, Qcon
-from optics.lens.shapes.odd_asphere import OddAsphere
-from optics.lens.shapes.registry import SHAPES
-from optics.lens.shapes.thin_lens import ThinLens
-from optics.lens.shapes.toroid import Toroid
-from optics.lens.shapes.xy_polynomial import XYPolynomial
-from optics.lens.shapes.zernike import Zernike
 from optics.rays.reverse import retraced, reverse
 
 COEFFICIENTS = (0.01, -0.02, 0.015, 0.03, -0.01, 0.02, 0.005, -0.004, 0.003, 0.006, -0.002, 0.001)
@@ -29,16 +22,16 @@ EXAMPLES = (
     Sphere(radius_mm=-40.0),
     Conic(radius_mm=35.0, conic=-1.7),
     EvenAsphere(radius_mm=45.0, conic=0.4, asphere=(2e-6, -3e-9, 1e-12)),
-    OddAsphere(radius_mm=45.0, conic=0.4, terms=(0.0, 1e-3, 2e-5, -1e-6)),
-    Qcon(radius_mm=40.0, conic=-0.5, norm_radius_mm=9.0, q_mm=(0.05, -0.02, 0.01, 0.003)),
-    Qbfs(radius_mm=-35.0, norm_radius_mm=9.0, q_mm=(0.05, -0.02, 0.01, 0.003)),
-    Qbfs(radius_mm=30.0, conic=-1.4, norm_radius_mm=9.0, q_mm=(0.05, -0.02, 0.01, 0.003)),
-    ThinLens(focal_length_mm=80.0),
+    odd_asphere.OddAsphere(radius_mm=45.0, conic=0.4, terms=(0.0, 1e-3, 2e-5, -1e-6)),
+    forbes_asphere.Qcon(radius_mm=40.0, conic=-0.5, norm_radius_mm=9.0, q_mm=(0.05, -0.02, 0.01, 0.003)),
+    forbes_asphere.Qbfs(radius_mm=-35.0, norm_radius_mm=9.0, q_mm=(0.05, -0.02, 0.01, 0.003)),
+    forbes_asphere.Qbfs(radius_mm=30.0, conic=-1.4, norm_radius_mm=9.0, q_mm=(0.05, -0.02, 0.01, 0.003)),
+    thin_lens.ThinLens(focal_length_mm=80.0),
     Cylinder(radius_mm=30.0, conic=0.2),
-    Toroid(radius_mm=40.0, conic=-0.5, terms=(1e-3, 2e-6), rotation_radius_mm=-25.0),
-    Biconic(radius_x_mm=25.0, radius_y_mm=-60.0, conic_x=0.3, conic_y=-1.2),
-    Zernike(radius_mm=50.0, conic=-1.0, norm_radius_mm=9.0, ordering="noll", coefficients_mm=COEFFICIENTS),
-    XYPolynomial(radius_mm=50.0, conic=0.5, norm_radius_mm=9.0, coefficients_mm=COEFFICIENTS[:9]),
+    toroid.Toroid(radius_mm=40.0, conic=-0.5, terms=(1e-3, 2e-6), rotation_radius_mm=-25.0),
+    biconic.Biconic(radius_x_mm=25.0, radius_y_mm=-60.0, conic_x=0.3, conic_y=-1.2),
+    zernike.Zernike(radius_mm=50.0, conic=-1.0, norm_radius_mm=9.0, ordering="noll", coefficients_mm=COEFFICIENTS),
+    xy_polynomial.XYPolynomial(radius_mm=50.0, conic=0.5, norm_radius_mm=9.0, coefficients_mm=COEFFICIENTS[:9]),
 )
 REACH_MM = 8.0
 """Half width of the region that is looked at; every example reaches that far."""
@@ -69,8 +62,8 @@ def lens_with(shape):
 
 
 def test_every_listed_kind_has_an_example_and_a_name_of_its_own():
-    assert {type(shape) for shape in EXAMPLES} == set(SHAPES)
-    assert len({shape.kind for shape in SHAPES}) == len(SHAPES)
+    assert {type(shape) for shape in EXAMPLES} == set(registry.SHAPES)
+    assert len({shape.kind for shape in registry.SHAPES}) == len(registry.SHAPES)
 
 
 @every_kind

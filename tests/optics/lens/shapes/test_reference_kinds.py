@@ -6,10 +6,7 @@ import numpy as np
 import pytest
 
 from optics.arrays import NUMPY
-from optics.lens.shapes.forbes_asphere import Qbfs
-from optics.lens.shapes.odd_asphere import OddAsphere
-from optics.lens.shapes.toroid import Toroid
-from optics.lens.shapes.xy_polynomial import XYPolynomial
+from optics.lens.shapes import forbes_asphere, odd_asphere, toroid, xy_polynomial
 from optics.lens.shapes.zernike import Zernike
 
 pytestmark = [pytest.mark.reference, pytest.mark.slow]
@@ -49,12 +46,12 @@ def theirs(name, place):
 
 
 OURS = {
-    "odd_asphere": OddAsphere(radius_mm=45.0, conic=0.4, terms=(0.0, 1e-3, 2e-5, -1e-6)),
-    "toroid": Toroid(radius_mm=40.0, conic=-0.5, terms=(1e-3, 2e-6), rotation_radius_mm=-25.0),
-    "polynomial": XYPolynomial(radius_mm=50.0, conic=0.5, norm_radius_mm=9.0, coefficients_mm=A),
+    "odd_asphere": odd_asphere.OddAsphere(radius_mm=45.0, conic=0.4, terms=(0.0, 1e-3, 2e-5, -1e-6)),
+    "toroid": toroid.Toroid(radius_mm=40.0, conic=-0.5, terms=(1e-3, 2e-6), rotation_radius_mm=-25.0),
+    "polynomial": xy_polynomial.XYPolynomial(radius_mm=50.0, conic=0.5, norm_radius_mm=9.0, coefficients_mm=A),
     "zernike noll": Zernike(radius_mm=50.0, conic=-1.0, norm_radius_mm=9.0, ordering="noll", coefficients_mm=A),
     "zernike fringe": Zernike(radius_mm=50.0, conic=-1.0, norm_radius_mm=9.0, ordering="fringe", coefficients_mm=A),
-    "qbfs": Qbfs(radius_mm=-35.0, norm_radius_mm=9.0, q_mm=(0.05, -0.02, 0.01, 0.003)),
+    "qbfs": forbes_asphere.Qbfs(radius_mm=-35.0, norm_radius_mm=9.0, q_mm=(0.05, -0.02, 0.01, 0.003)),
 }
 
 
