@@ -124,9 +124,9 @@ CornerWindows = tuple[int, int, Sequence[EffectivePsf], ExpectedWindows]
 
 def _corner_windows(
     lab: BudgetLaboratory, traced: TracedTarget, defect: NDArray[np.bool_] | None
-) -> list[CornerWindows]:
+) -> Sequence[CornerWindows]:
     """Expected windows in every corner behind every filter."""
-    corner_windows = []
+    corner_windows: list[CornerWindows] = []
     for corner, direction in enumerate(traced.direction):
         for band in range(len(lab.filtered.filters)):
             psf = [point[band] for point in traced.psf[corner]]

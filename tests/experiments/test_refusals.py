@@ -6,6 +6,7 @@ A row: name of the case, call (with a folder of the files below), error, words o
 import json
 import os
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,6 +18,7 @@ from astropy import units
 from astropy.table import Table
 from lens_texts import ZMX_DOUBLET
 from PIL import Image
+from pydantic import ValidationError
 from target_frames import HEAD, readout, spots, write
 
 from experiments.budget.settings import BudgetConfig
@@ -42,10 +44,17 @@ from experiments.harness.outputs import OutputFolder
 from experiments.harness.plotting import equation_svg, wavelength_colour
 from experiments.harness.progress import Progress
 from experiments.harness.range import parse_sweep
+from experiments.harness.registry import declared
 from experiments.harness.tables import Table as OutputTable
 from experiments.harness.what_if import run_sweep
 from experiments.hsfe.own_frames import reduce as hsfe
+from experiments.laboratory.devices.collimator import build_collimator
+from experiments.laboratory.devices.turntable import build_turntable
 from experiments.laboratory.sensor_prediction import predict_camera
+from experiments.laboratory.settings.collimator import CollimatorConfig, FilteredCollimatorConfig
+from experiments.laboratory.settings.tables import SignalConfig
+from experiments.laboratory.single_star.settings import SingleStarConfig, TurntableConfig
+from experiments.laboratory.single_star.setup import check_table, grid_px
 from experiments.lens.command import lens
 from experiments.reduce.command import reduce as reduce_command
 from experiments.reduce.folder import read_folder
@@ -60,6 +69,10 @@ from experiments.twin.folder import night_frames
 from experiments.twin.pipeline import measure_night
 from experiments.twin.settings import TwinConfig
 from optics.errors import BackendError, ConfigError, DomainError, StarbenchError
+from optics.glass.absolute_index import Environment
+from optics.lens_file import lens_path
+from render.sensor_file.file import read_sensor
+from render.sensor_file.instrument import build_instrument
 
 Call = Callable[[Path], Any]
 
@@ -397,6 +410,143 @@ LENSES = [
     ("second", lens_command("thermal", TRACKER, "--second", "unobtainium"), ConfigError, "--second unobtainium"),
 ]  # fmt: skip
 
+# --- Laboratory: settings of the tests, targets, collimator, turntable, lens table of a sensor file
+
+
+def run_of(name: str, *settings: str) -> Call:
+    """A run of an experiment that ends before anything is rendered."""
+
+    def call(_: Path) -> Any:
+        experiment = declared(name)
+        return experiment.part(experiment.run)(
+            load_config(experiment.config, settings=["compare=[]", *settings]), progress=Progress()
+        )
+
+    return call
+
+
+def collimator(**changes: Any) -> Call:
+    return lambda _: build_collimator(FilteredCollimatorConfig(**changes), BAND).light(BAND, D_LINE, Environment())
+
+
+def grid(*texts: str) -> Call:
+    config = partial(load_config, SingleStarConfig, settings=texts)
+    return lambda _: grid_px(config(), build_instrument(config().instrument))
+
+
+def axes(**changes: Any) -> Call:
+    table = {"axes": "xy", "reading_noise_arcsec": (0.3,), "non_orthogonality_arcsec": (5.0,)} | changes
+    return lambda _: check_table("two_axis", TurntableConfig(**table), 2)
+
+
+def turntable(letters: Any, **changes: Any) -> Call:
+    return lambda _: build_turntable(letters, **changes)
+
+
+def lens_table(*lines: str) -> Call:
+    def call(folder: Path) -> Any:
+        keys = {"kind": '"ideal"', "focal_length_mm": "50.0", "f_number": "8.0"}
+        keys |= dict(line.split(" = ") for line in lines)
+        text = "\n".join(f"{key} = {value}" for key, value in keys.items())
+        (folder / "sensor.toml").write_text(f'[instrument]\ndetector = "cmv4000"\n[instrument.lens]\n{text}')
+        return read_sensor(folder / "sensor.toml")
+
+    return call
+
+
+def tilted_lens(folder: Path) -> Any:
+    head, part, tail = lens_path("star_camera_206mm").read_text(encoding="utf-8").rpartition("[[surface]]")
+    (folder / "tilted.toml").write_text(f"{head}{part}\ntilt_deg = [0.1, 0.0]{tail}", encoding="utf-8")
+    return run_of("chromatic", f"instrument.lens={folder}/tilted.toml")(folder)
+
+
+BAND, D_LINE = [SimpleNamespace(name="d")], np.array([[587.5618]])
+LABORATORY = [
+    ("levels", run_of("temporal", "brightness.lowest_e=30000"), ConfigError, "first must be the lower one"),
+    ("target off", run_of("temporal", "place_px=[20, 20]"), DomainError, "off the detector"),
+    ("passband", run_of("temporal", "passband.range_nm=[300, 900]"), DomainError, "passband.range_nm", "290 ... 910 nm",
+     "400 ... 1000 nm"),
+    ("defocus", run_of("temporal", "instrument.defocus_mm=0.5"), DomainError, "RMS radius", "window_px = 13",
+     "instrument.defocus_mm"),
+    ("step", run_of("hsfe", "steps.step_px=7"), DomainError, "not smaller than half the window"),
+    ("positions", run_of("hsfe", "steps.positions=1"), ConfigError, "positions"),
+    ("order", run_of("distortion", "order=5"), ConfigError, "more rows and columns than the order"),
+    ("grid edge", run_of("distortion", "target.edge_px=2000"), DomainError, "does not fit"),
+    ("reference", run_of("distortion", "reference=ideal"), ConfigError, "reference"),
+    ("jitter of a grid", run_of("distortion", "target.jitter_px=-1"), ConfigError, "jitter_px"),
+    ("lens", run_of("chromatic", "instrument.lens=star_camera_206"), ConfigError, "'star_camera_206'",
+     "did you mean star_camera_206mm"),
+    ("detector", run_of("chromatic", "instrument.detector=absent.toml"), ConfigError, "absent.toml: no such file"),
+    ("element", run_of("chromatic", "decentre.element=L9"), ConfigError, "unknown element 'L9'; did you mean L"),
+    ("pair", run_of("chromatic", "decentre.pair=800-500"), ConfigError, "'800-500'; did you mean 800-600"),
+    ("centroider", run_of("chromatic", 'compare=["cogg"]'), ConfigError, "compare.0 = 'cogg'", "did you mean cog"),
+    ("filter", run_of("chromatic", "filters.centres_nm=[350,600,800]"), DomainError,
+     "'350 nm' passes 295 ... 405 nm", "400 ... 1000 nm"),
+    ("filter below 0", run_of("chromatic", "filters.centres_nm=[0,600,800]"), DomainError, "reaches below 0 nm"),
+    ("single filter", run_of("chromatic", "filters.centres_nm=[600]"), ConfigError, "at least 2 values"),
+    ("filter twice", run_of("chromatic", "filters.centres_nm=[600,600,800]"), ConfigError, "a centre is given twice"),
+    ("filter of reference", run_of("chromatic", "filters.reference_nm=700"), ConfigError,
+     "filters.reference_nm = 700", "500.0, 600.0, 800.0"),
+    ("filter edge", run_of("chromatic", "filters.width_nm=4"), DomainError, "edge 10 nm is outside 0 ... 4 nm"),
+    ("dark frames", run_of("chromatic", "dark_frames=1"), ConfigError, "dark_frames = 1", "at least 2"),
+    ("window", run_of("chromatic", "window_px=5"), ConfigError, "window_px = 5", "at least 7 and at most 63"),
+    ("even window", run_of("chromatic", "window_px=14"), ConfigError, "window_px = 14: an odd number"),
+    ("pitch", run_of("chromatic", "target.pitch_px=3"), ConfigError, "target.pitch_px = 3 px: at least window_px = 13"),
+    ("target size", run_of("chromatic", "target.pitch_px=1500"), DomainError, "1500 px apart",
+     "does not fit on 4096 x 2048 px"),
+    ("target edge", run_of("chromatic", "target.edge_px=5"), ConfigError, "target.edge_px = 5 px: at least 7 px"),
+    ("coating", run_of("chromatic", "instrument.coating_nm=1"), DomainError, "MgF2: wavelength 1 nm",
+     "200 ... 7000 nm"),
+    ("temperature", run_of("chromatic", "stars.temperatures_k=[-5,3000]"), ConfigError, "stars.temperatures_k", "-5",
+     "at least 1000"),
+    ("pass band file", run_of("chromatic", "passband.file=absent.csv"), ConfigError, "absent.csv: no such file"),
+    ("tilted lens", tilted_lens, DomainError, "paraxial quantities exist for centred lenses only"),
+    ("field of the lens", run_of("chromatic", "instrument.lens=star_tracker_26mm", "decentre.element=auto"),
+     DomainError, "deg from the axis", "field of 16.5 deg"),
+    ("moved element", run_of("budget", "moved.element=L9"), ConfigError, "unknown element 'L9'"),
+    ("detector name", run_of("budget", "instrument.detector=acc19_mosaic"), ConfigError, "acc18_mosaic"),
+    ("star counts", run_of("budget", "attitude.counts=[1, 5]"), ConfigError, "at least 2"),
+    ("saturation", run_of("budget", "source.signal_e=1e6"), DomainError, "source: a point of 1e+06 e- saturates"),
+    ("signal", lambda _: SignalConfig(signal_e=3000.0, magnitude_mag=7.0), ValidationError, "give one of them"),
+    ("collimator", collimator(focal_length_mm=1.0), ValidationError, "greater than or equal to 10"),
+    ("focus curve", collimator(focus_um=(1.0, 2.0)), ValidationError, "2 values for 0 of focus_wavelength_nm"),
+    ("focus nodes", collimator(focus_um=(1.0, 2.0), focus_wavelength_nm=(600.0, 500.0)), ValidationError,
+     "[600.0, 500.0]: at least two increasing"),
+    ("one frequency", collimator(vibration_hz=(1.0,), vibration_arcsec2_per_hz=(1.0,)), ValidationError,
+     "at least two increasing"),
+    ("no power", collimator(vibration_hz=(1.0, 2.0), vibration_arcsec2_per_hz=(1.0, 0.0)), ValidationError,
+     "0 is not above 0"),
+    ("offset", collimator(offset_mm=(0.0, 2e3)), ValidationError, "offset_mm: 2000 is outside -1000 ... 1000"),
+    ("wedge", collimator(wedge_arcsec=(1e4,)), ValidationError, "wedge_arcsec: 10000 is outside -3600 ... 3600"),
+    ("azimuths", collimator(wedge_arcsec=(1.0,), wedge_direction_deg=(1.0, 2.0)), ValidationError,
+     "2 values for 1 of wedge_arcsec"),
+    ("filter distance", collimator(filter_distance_mm=2000.0), ValidationError, "2000: at most focal_length_mm = 1000"),
+    ("wedges", collimator(wedge_arcsec=(1.0, 2.0)), DomainError, "wedge_arcsec has 2 values for 1 filters"),
+    ("wedge glass", collimator(wedge_arcsec=(1.0,), wedge_glass="N-BK8"), ConfigError, "N-BK8"),
+    ("focus range", collimator(focus_wavelength_nm=(400.0, 500.0), focus_um=(0.0, 1.0)), DomainError,
+     "focus_wavelength_nm = 400 ... 500 nm", "588 ... 588 nm"),
+    ("vacuum", lambda _: build_collimator(CollimatorConfig(air_gradient_k_per_m=(0.0, 1.0))).light(
+        BAND, D_LINE, Environment(pressure_hpa=0.0)), DomainError, "in a vacuum"),
+    ("columns", grid("grid.columns=1"), DomainError, "cover 0% of the detector's width"),
+    ("coverage", grid("grid.edge_px=900"), DomainError, "at least 50% of both"),
+    ("edge", grid("grid.edge_px=3000"), DomainError, "leaves no area"),
+    ("search windows", grid("grid.columns=150"), DomainError, "places lie 27 px apart"),
+    ("axis twice", axes(axes="xx"), ConfigError, "two_axis.axes = 'xx': neighbouring axes are the same"),
+    ("axis reversed", axes(axes="x-x"), ConfigError, "two_axis.axes = 'x-x': neighbouring axes are the same"),
+    ("letter", axes(axes="xq"), ConfigError, "two_axis.axes: ", "'xq'; letters x, y, z"),
+    ("number of axes", axes(axes="x"), ConfigError, "2 axes are needed, 1 given"),
+    ("noise of axes", axes(reading_noise_arcsec=(1, 2, 3)), ConfigError, "3 values where 2 are needed"),
+    ("angles of axes", axes(non_orthogonality_arcsec=(1, 2)), ConfigError, "2 values where 1"),
+    ("axis length", turntable([[1, 0, 0], [0, 2, 0]]), DomainError, "length 2"),
+    ("negative noise", turntable("xy", setting_noise_arcsec=-0.3), DomainError, "must not be negative"),
+    ("noise shape", turntable("xy", reading_noise_arcsec=(0.3, 0.3, 0.3)), DomainError, "shape"),
+    ("encoder", turntable("xy", encoder_cycles=np.nan), DomainError, "finite"),
+    ("lens key", lens_table("f_numbr = 2"), ConfigError, "instrument.lens.f_numbr", "did you mean 'f_number'"),
+    ("f-number", lens_table("f_number = -1"), ConfigError, "instrument.lens.f_number = -1"),
+    ("lens kind", lens_table('kind = "measured"'), ConfigError, "instrument.lens.kind = 'measured'"),
+    ("two spots", lens_table("spot_um = 3", "psf_fwhm_px = 2"), ConfigError, "give one of them"),
+]  # fmt: skip
+
 # --- The harness: sweeps, output folders, tables, equations
 
 SWEEPS = [
@@ -607,6 +757,7 @@ SECTIONS = {
     "flight": FLIGHT,
     "straylight": STRAYLIGHT,
     "statement": STATEMENT,
+    "laboratory": LABORATORY,
     "twin": TWIN,
     "harness": HARNESS,
 }
@@ -631,5 +782,5 @@ def test_refusals(call: Call, kind: type[Exception], words: list[str], folder: P
     with pytest.raises(kind) as error:
         call(folder)
     message = error.value.format_message() if isinstance(error.value, click.UsageError) else str(error.value)
-    assert "\n" not in message
+    assert kind is ValidationError or "\n" not in message
     assert [word for word in words if word not in message] == []

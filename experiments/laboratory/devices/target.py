@@ -75,7 +75,7 @@ def grid_directions(
     position = np.stack([x.ravel(), y.ravel()], axis=1)
     deviates = streams.generator(part).standard_normal(position.shape)
     position = position + target.jitter_px * np.clip(deviates, -2.0, 2.0)
-    direction = camera.nominal_direction(*position.T, instrument.focal_length_mm)
+    direction = camera.nominal_direction(position[:, 0], position[:, 1], instrument.focal_length_mm)
     turned: FloatArray = Rotation.from_rotvec([0.0, 0.0, target.roll_arcmin * 60.0 * ARCSEC_RAD]).apply(direction)
     _check_field("grid", turned, instrument)
     return _unit(turned)

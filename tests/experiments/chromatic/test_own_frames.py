@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from experiments.chromatic import own_frames
-from optics.errors import ConfigError
 
 FILTERS_NM, SIGMA_PX, WEDGE_PX = (500.0, 600.0, 800.0), 0.01, np.array([0.06, 0.0])
 POINTS = np.stack(np.meshgrid([-20.0, 0.0, 20.0], [-20.0, 0.0, 20.0]), -1).reshape(-1, 2)
@@ -68,18 +67,3 @@ def test_exchanged_files_are_named(monkeypatch):
     first.mean_e, second.mean_e = second.mean_e, first.mean_e
     (said,) = reduced(monkeypatch, every)["exchange"].descriptions
     assert said.startswith("the files of 500 and 600 nm at place 'p2' (light of 600 over 500 nm is 0.833 there, 1.2")
-
-
-@pytest.mark.parametrize(
-    ("places", "said"),
-    [
-        ([(0, 500.0), (0, 500.0)], "both have filter 500 nm"),
-        ([(0, 500.0), (0, 600.0), (1, 500.0)], "no series of 600 nm at place 'p1'"),
-        ([(0, 600.0)], "only filter 600 nm"),
-        ([(0, 500.0), (0, 800.0)], "the reference filter, 600 nm, does not occur"),
-    ],
-)
-def test_series_that_do_not_make_a_test(monkeypatch, places, said):
-    rng = np.random.default_rng(5)
-    with pytest.raises(ConfigError, match=said):
-        reduced(monkeypatch, [series(rng, *place) for place in places])

@@ -93,11 +93,6 @@ def test_electrons_and_magnitude_say_the_same(star_camera):
     assert fainter == pytest.approx(3000.0 / 2.511886, rel=1e-6)
 
 
-def test_a_signal_is_given_in_one_way():
-    with pytest.raises(ValueError, match="give one of them"):
-        SignalConfig(signal_e=3000.0, magnitude_mag=7.0)
-
-
 def test_half_of_the_light_passes_at_the_ends_of_the_range(star_camera):
     band = open_band(PassbandConfig(range_nm=(450.0, 900.0), edge_nm=20.0), star_camera)
     assert band.transmission(np.array([439.0, 450.0, 461.0, 675.0, 900.0])) == pytest.approx([0, 0.5, 1, 1, 0.5])

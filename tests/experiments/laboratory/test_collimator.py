@@ -7,7 +7,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 from scipy.special import erf, j1
 
 from calib.accuracy.chromatic import shifts, table1
@@ -19,7 +18,6 @@ from experiments.laboratory.devices import collimator_effects as effects
 from experiments.laboratory.devices.collimator import build_collimator
 from experiments.laboratory.devices.target import corner_directions
 from experiments.laboratory.settings.collimator import CollimatorConfig, FilteredCollimatorConfig
-from optics.errors import ConfigError, DomainError
 from optics.glass.absolute_index import Environment
 from optics.light.spectrum import Blackbody
 from optics.units import ARCSEC_RAD
@@ -68,10 +66,6 @@ def test_warm_air_seems_to_draw_the_source():
     """dn/dT of air is -0.93e-6 / K at 20 C (Ciddor 1996)."""
     slope = light(air_path_m=2.0, air_gradient_k_per_m=(0.0, 1.0)).slope_rad[0, 0]
     np.testing.assert_allclose(slope, [0.0, 2.0 * 0.93e-6], rtol=0.01, atol=1e-15)
-    with pytest.raises(DomainError, match="in a vacuum"):
-        build_collimator(CollimatorConfig(air_gradient_k_per_m=(0.0, 1.0))).light(
-            BAND, D_LINE, Environment(pressure_hpa=0.0)
-        )
 
 
 def test_vibration_is_split_by_the_exposure():
@@ -238,32 +232,3 @@ def test_a_pinhole_is_seen_alike_in_image_and_psf(engine, laboratory):
         transfer(found, frequency) / transfer(point, frequency), 2 * j1(argument) / argument, atol=3e-4
     )
     assert found.values.sum() == pytest.approx(point.values.sum(), rel=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"focal_length_mm": 1.0}, "greater than or equal to 10"),
-        ({"focus_um": (1.0, 2.0)}, "2 values for 0 of focus_wavelength_nm"),
-        ({"focus_um": (1.0, 2.0), "focus_wavelength_nm": (600.0, 500.0)}, r"\[600.0, 500.0\]: at least two increasing"),
-        ({"vibration_hz": (1.0,), "vibration_arcsec2_per_hz": (1.0,)}, "at least two increasing"),
-        ({"vibration_hz": (1.0, 2.0), "vibration_arcsec2_per_hz": (1.0, 0.0)}, "0 is not above 0"),
-        ({"offset_mm": (0.0, 2e3)}, "offset_mm: 2000 is outside -1000 ... 1000"),
-        ({"wedge_arcsec": (1e4,)}, "wedge_arcsec: 10000 is outside -3600 ... 3600"),
-        ({"wedge_arcsec": (1.0,), "wedge_direction_deg": (1.0, 2.0)}, "2 values for 1 of wedge_arcsec"),
-        ({"filter_distance_mm": 2000.0}, "2000: at most focal_length_mm = 1000"),
-    ],
-)
-def test_refused_settings(settings, message):
-    with pytest.raises(ValidationError, match=message):
-        FilteredCollimatorConfig(**settings)
-
-
-def test_refused_with_the_filters():
-    assert build_collimator(FilteredCollimatorConfig(), BAND) is None
-    with pytest.raises(DomainError, match="wedge_arcsec has 2 values for 1 filters"):
-        build_collimator(FilteredCollimatorConfig(wedge_arcsec=(1.0, 2.0)), BAND)
-    with pytest.raises(ConfigError, match="N-BK8"):
-        build_collimator(FilteredCollimatorConfig(wedge_arcsec=(1.0,), wedge_glass="N-BK8"), BAND)
-    with pytest.raises(DomainError, match=r"focus_wavelength_nm = 400 ... 500 nm does not cover the light of 588"):
-        light(focus_wavelength_nm=(400.0, 500.0), focus_um=(0.0, 1.0))

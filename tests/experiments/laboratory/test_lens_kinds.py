@@ -18,7 +18,6 @@ from optics.errors import ConfigError, DomainError
 from optics.export.write import write_measured_lens
 from optics.lens.measured import measured_from_table
 from render.forward import StarRenderer
-from render.sensor_file.file import read_sensor
 from render.sensor_file.instrument import build_instrument, configured_lens
 
 IDEAL = """
@@ -140,19 +139,3 @@ def test_keys_of_the_lens_table_are_swept(ideal):
     lens = configured_lens(with_value(config, "instrument.lens.f_number", 4.0).instrument)
     assert lens.surfaces[lens.stop_index].semi_diameter_mm == pytest.approx(6.25)
     refuses(ConfigError, "not a table", lambda: with_value(CameraReportConfig(), "instrument.lens.f_number", 4.0))
-
-
-@pytest.mark.parametrize(
-    ("line", "words"),
-    [
-        ("f_numbr = 2", r"instrument\.lens\.f_numbr.*did you mean 'f_number'"),
-        ("f_number = -1", r"instrument\.lens\.f_number = -1"),
-        ('kind = "measured"', r"instrument\.lens\.kind = 'measured'"),
-        ("spot_um = 3\npsf_fwhm_px = 2", "give one of them"),
-    ],
-)
-def test_mistakes_in_the_lens_table_are_named(tmp_path, line, words):
-    key = line.partition(" ")[0]
-    kept = [one for one in IDEAL.splitlines() if not one.startswith(key)]
-    (tmp_path / "wrong.toml").write_text("\n".join([*kept, line]))
-    refuses(ConfigError, words, lambda: read_sensor(tmp_path / "wrong.toml"))

@@ -44,23 +44,3 @@ def test_a_run_on_few_pixels_by_rays(name, engine, tiny_chip):
         assert len(field_map(outcome).axes) == 2
     if name == "temporal":  # levels without setting error are the ends of the range
         assert [one.signal_e for one in result["levels"]] == pytest.approx([700.0, 20000.0])
-
-
-@pytest.mark.parametrize(
-    ("name", "setting", "said"),
-    [
-        ("temporal", "brightness.lowest_e=30000", "the first must be the lower one"),
-        ("temporal", "place_px=[20, 20]", "off the detector"),
-        ("temporal", "passband.range_nm=[300, 900]", "passband.range_nm"),
-        ("temporal", "instrument.defocus_mm=0.5", "window_px"),
-        ("hsfe", "steps.step_px=7", "not smaller than half the window"),
-        ("hsfe", "steps.positions=1", "positions"),
-        ("hsfe", "place_px=[90000, 20]", "off the detector"),
-        ("distortion", "order=5", "more rows and columns than the order"),
-        ("distortion", "target.edge_px=2000", "does not fit"),
-        ("distortion", "reference=ideal", "reference"),
-        ("distortion", "target.jitter_px=-1", "jitter_px"),
-    ],
-)
-def test_bad_input_is_one_line(name, setting, said, refused_by):
-    assert said in refused_by(name, "--set", setting)

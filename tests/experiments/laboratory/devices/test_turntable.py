@@ -1,10 +1,8 @@
 """The turntable as a device: setting, readings, their noise."""
 
 import numpy as np
-import pytest
 
 from experiments.laboratory.devices.turntable import build_turntable
-from optics.errors import DomainError
 from optics.units import ARCSEC_RAD
 from render.engine.random import Streams
 
@@ -44,17 +42,3 @@ def test_steps_and_encoder_wave() -> None:
     np.testing.assert_allclose(table.set(asked, Streams(0)) / ARCSEC_RAD, [[10, 14], [20, 16]], atol=1e-9)
     angle = np.array([[np.pi / 6, np.pi / 6]])  # sin(3 * 30 deg) = 1
     np.testing.assert_allclose((table.read(angle, Streams(0)) - angle) / ARCSEC_RAD, [[2.0, 0.0]], atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("axes", "options", "words"),
-    [
-        ([[1, 0, 0], [0, 2, 0]], {}, "length 2"),
-        ("xy", {"setting_noise_arcsec": -0.3}, "must not be negative"),
-        ("xy", {"reading_noise_arcsec": (0.3, 0.3, 0.3)}, "shape"),
-        ("xy", {"encoder_cycles": np.nan}, "finite"),
-    ],
-)
-def test_bad_devices(axes: object, options: dict, words: str) -> None:
-    with pytest.raises(DomainError, match=words):
-        build_turntable(axes, **options)
