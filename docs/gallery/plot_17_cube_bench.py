@@ -11,15 +11,15 @@ import numpy as np
 from matplotlib import pyplot as plt
 
 from calib.calibration.cube_mirror import concentric_angles
-from experiments.cube.bench import Case, build_laboratory, build_table, draw_truths, face_start_rad, put_cube
-from experiments.cube.settings import Config
+from experiments.cube.bench import CubeCase, build_laboratory, build_table, draw_truths, face_start_rad, put_cube
+from experiments.cube.settings import CubeMirrorConfig
 from experiments.cube.trim import take_spot
 from render import Engine
 
 Engine.start("auto")
-laboratory = build_laboratory(Config())
+laboratory = build_laboratory(CubeMirrorConfig())
 truth = draw_truths(laboratory.config, laboratory.streams)[0]
-table = build_table(laboratory.config, truth, Case(name="shown", label="shown"))
+table = build_table(laboratory.config, truth, CubeCase(name="shown", label="shown"))
 trimmed = concentric_angles(table, truth.normal_in_table("+Z"), face_start_rad("+Z"))
 figure, panels = plt.subplots(1, 2, figsize=(9, 4.4), layout="constrained")
 for axes, turned_arcsec in zip(panels, (0.0, 60.0), strict=True):

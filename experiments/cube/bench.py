@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.attitude.triad import triad
 from calib.calibration.cube_mirror import concentric_angles, normal_of_offset
-from experiments.cube.settings import Config
+from experiments.cube.settings import CubeMirrorConfig
 from experiments.laboratory.devices.turntable import Turntable, build_turntable
 from optics.arrays import FloatArray
 from optics.errors import DomainError
@@ -34,24 +34,25 @@ NOMINAL_CUBE = np.diag([-1.0, 1.0, -1.0])
 """Table from cube as designed: the cube's Z looks backwards, its X against the table's."""
 
 COVER_LOG2 = 21
+"""log2 of the particles for the picture of the covered aperture."""
 
 RIM_PX = 8.0
-"""Rim of the spot that must show around the aperture."""
+"""Smallest width of the rim of the spot around the aperture."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Truth:
-    """One bench: true values and errors of the calibration. Terms are in units of their sigma."""
+class TrueBench:
+    """True values and errors of a bench; errors in units of their sigma."""
 
-    number: int  # Which bench
+    number: int
     table_from_cube: FloatArray  # (3, 3) Of the cube's body
     normal: FloatArray  # (6, 3) In the body's frame, in the order of `render.bench.scene.FACES`
     sensor_from_table: FloatArray  # (3, 3) R_sr
-    sensor: MaskSensor  # The sun sensor as it was built
-    start: FloatArray  # (faces, repeats, 2) Where the eye leaves the spot, -1 to 1 of ``trim.start_px``
+    sensor: MaskSensor  # Sun sensor as built
+    start: FloatArray  # (faces, repeats, 2) Initial offset of the spot, -1 to 1 of ``trim.start_px``
     aim: FloatArray  # (faces, repeats, 2) Aiming error, x and y on the screen
-    mounting: FloatArray  # (faces, repeats, 2) Give of the camera mount
-    lean: float  # Axes out of square
+    mounting: FloatArray  # (faces, repeats, 2) Movement of the camera mount
+    non_orthogonality: float  # Of the axes of the table
 
     def normal_in_table(self, face: str) -> FloatArray:
         """True normal of a face in the table frame (3,)."""
@@ -71,47 +72,47 @@ class Truth:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Case:
+class CubeCase:
     """Active errors and method of reduction."""
 
-    name: str  # For machines
-    label: str  # For people
-    aim_px: float = 0.0  # 1 sigma of what the operator takes for concentric
-    lean: bool = False  # Axes out of square
-    mounting: bool = False  # Camera mount
-    reading: bool = False  # Angle reading
-    # Trim from where the eye left the spot, in steps of the table, with the operator's gain, until the stop rule
-    # holds; otherwise the table goes where it is sent, starts trimmed, and one correction is enough
+    name: str  # Key of the case, in names of random streams too
+    label: str  # For readers
+    aim_px: float = 0.0  # 1 sigma of the trim error
+    non_orthogonal: bool = False  # Axes of the table
+    mounting: bool = False  # Movement of the camera mount
+    reading: bool = False  # Noise of the angle readings
+    # Trims from a spot set by eye, in steps of the table, with the gain of the operator, until the stop rule holds;
+    # otherwise the table is continuous, starts trimmed, and makes one correction
     coarse: bool = False
-    # Aperture and spot from one picture, what is left of the offset taken into account, and the axes of the table
-    # from the joint fit with the sun sensor
+    # Aperture and spot from a single picture, remaining offset subtracted, squareness of the axes from the joint fit
+    # with the sun sensor
     improved: bool = False
-    pictures_of: str = ""  # Name of the case whose pictures and readings are reduced once more; "" for its own
+    pictures_of: str = ""  # Case whose pictures and readings are reduced; "" for pictures of this case
 
 
 @dataclass(slots=True, kw_only=True)
-class Laboratory:
-    """The rendered bench: one Mitsuba scene whose cube is moved, with the camera and the detectors."""
+class CubeLaboratory:
+    """The rendered bench: a Mitsuba scene whose cube is moved, with the camera and the detectors."""
 
-    config: Config  # Settings
-    geometry: BenchGeometry  # Sizes
-    camera: BenchCamera  # The camera as it was aimed
+    config: CubeMirrorConfig
+    geometry: BenchGeometry
+    camera: BenchCamera
     detector: Detector  # Of the CCD camera
     sensor_detector: Detector  # Of the sun sensor
-    scene: Any  # Mitsuba's
-    sensor: Any  # The camera as a sensor of Mitsuba
+    scene: Any  # Mitsuba scene
+    sensor: Any  # The camera as a Mitsuba sensor
     aperture_e: NDArray[np.float32]  # (h, w) Expected electrons of the picture of the covered, glowing aperture
-    streams: Streams  # Root of the randomness
+    streams: Streams  # Root of the random streams
 
     def light(self, sensor: Any, **options: Any) -> NDArray[np.float32]:
-        """Expected electrons (h, w) of a picture of the screen with the cube where it is."""
+        """Expected electrons (h, w) of a picture of the screen with the cube at its present pose."""
         scale = electrons_per_radiance(self.config)
         parts = self.scene, sensor, self.camera, self.geometry, self.detector
         return screen_light(*parts, electrons_per_radiance=scale, **options)
 
     @property
     def pitch_mm(self) -> float:
-        """One pixel on the screen."""
+        """Pixel pitch on the screen."""
         return self.camera.pitch_mm
 
     @property
@@ -131,7 +132,7 @@ def face_start_rad(face: str) -> FloatArray:
     return np.array(FACE_ANGLES_DEG[face]) * DEG_RAD
 
 
-def geometry_of(config: Config) -> BenchGeometry:
+def geometry_of(config: CubeMirrorConfig) -> BenchGeometry:
     """Sizes of the bench."""
     return BenchGeometry(
         distance_mm=config.screen.distance_mm,
@@ -147,7 +148,7 @@ def geometry_of(config: Config) -> BenchGeometry:
     )
 
 
-def camera_of(config: Config, detector: Detector) -> BenchCamera:
+def camera_of(config: CubeMirrorConfig, detector: Detector) -> BenchCamera:
     """The camera as it was aimed."""
     return BenchCamera(
         width_px=detector.width_px,
@@ -159,8 +160,8 @@ def camera_of(config: Config, detector: Detector) -> BenchCamera:
     )
 
 
-def build_laboratory(config: Config) -> Laboratory:
-    """Build the scene once, and take the picture of the covered aperture, which no bench changes."""
+def build_laboratory(config: CubeMirrorConfig) -> CubeLaboratory:
+    """Build the scene and take the picture of the covered aperture, both common to all benches."""
     geometry = geometry_of(config)
     detector = load_detector(config.camera.detector or DATA / "cube_ccd.toml")
     sensor_detector = sun_sensor(config)
@@ -173,7 +174,7 @@ def build_laboratory(config: Config) -> Laboratory:
     parts: Any = covered, sensor, camera, geometry, detector
     trace: dict[str, Any] = {"covered": True, "log2_particles": COVER_LOG2, "seed": config.seed}
     aperture_e = screen_light(*parts, electrons_per_radiance=electrons_per_radiance(config), **trace)
-    return Laboratory(
+    return CubeLaboratory(
         config=config,
         geometry=geometry,
         camera=camera,
@@ -190,30 +191,30 @@ SQUARE = np.array([sign * np.eye(3)[axis] for axis, sign in FACES.values()])
 """Normals of a perfect cube, in the order of FACES."""
 
 
-def electrons_per_radiance(config: Config) -> float:
+def electrons_per_radiance(config: CubeMirrorConfig) -> float:
     """Electrons of a pixel for radiance 1 per unit irradiance: the screen in the full beam gives ``plateau_e``."""
     return config.camera.plateau_e * np.pi / config.screen.reflectance_fraction
 
 
-def build_table(config: Config, truth: Truth, case: Case) -> Turntable:
+def build_table(config: CubeMirrorConfig, truth: TrueBench, case: CubeCase) -> Turntable:
     """The table of a bench: outer axis X', inner axis Y'."""
     reading = (config.table.outer_reading_arcsec, config.table.inner_reading_arcsec)
     return build_turntable(
         "xy",
-        non_orthogonality_arcsec=config.table.square_arcsec * truth.lean if case.lean else 0.0,
+        non_orthogonality_arcsec=config.table.square_arcsec * truth.non_orthogonality if case.non_orthogonal else 0.0,
         reading_noise_arcsec=reading if case.reading else 0.0,
         step_arcsec=config.trim.step_deg * 3600 if case.coarse else 0.0,
     )
 
 
-def put_cube(laboratory: Laboratory, truth: Truth, lab_from_table: FloatArray) -> CubePose:
+def put_cube(laboratory: CubeLaboratory, truth: TrueBench, lab_from_table: FloatArray) -> CubePose:
     """Move the cube of the scene with the table."""
     pose = CubePose.of_table(laboratory.geometry, lab_from_table, truth.table_from_cube, truth.normal)
     place_cube(laboratory.scene, laboratory.geometry, pose)
     return pose
 
 
-def draw_truths(config: Config, streams: Streams) -> list[Truth]:
+def draw_truths(config: CubeMirrorConfig, streams: Streams) -> list[TrueBench]:
     """The misaligned benches.
 
     All random numbers are stratified over the benches (Latin hypercube; McKay, Beckman & Conover 1979): each has its
@@ -229,30 +230,30 @@ def draw_truths(config: Config, streams: Streams) -> list[Truth]:
     mount, sensor_mount, square = normals(3), normals(3), normals(12)
     start = 2 * stratified(generator, count, 2 * faces).reshape(shape) - 1
     aim, mounting = normals(2 * faces).reshape(shape), normals(2 * faces).reshape(shape)
-    lean, build = normals(1)[:, 0], normals(3)
+    non_orthogonality, build = normals(1)[:, 0], normals(3)
     detector = sun_sensor(config)
     return [
-        Truth(
+        TrueBench(
             number=i,
-            table_from_cube=NOMINAL_CUBE @ small_turn(mount[i] * config.cube.mount_arcmin * 60),
-            normal=_out_of_square(square[i].reshape(6, 2) * config.cube.square_arcsec),
-            sensor_from_table=small_turn(sensor_mount[i] * config.sensor.mount_arcmin * 60),
+            table_from_cube=NOMINAL_CUBE @ small_rotation(mount[i] * config.cube.mount_arcmin * 60),
+            normal=_tilted_normals(square[i].reshape(6, 2) * config.cube.square_arcsec),
+            sensor_from_table=small_rotation(sensor_mount[i] * config.sensor.mount_arcmin * 60),
             sensor=mask_sensor(config, detector, build[i]),
             start=start[i],
             aim=aim[i],
             mounting=mounting[i],
-            lean=float(lean[i]),
+            non_orthogonality=float(non_orthogonality[i]),
         )
         for i in range(count)
     ]
 
 
-def small_turn(arcsec: FloatArray) -> FloatArray:
+def small_rotation(arcsec: FloatArray) -> FloatArray:
     """Rotation matrix of a rotation vector [arcsec]."""
     return np.asarray(Rotation.from_rotvec(arcsec * ARCSEC_RAD).as_matrix())
 
 
-def _out_of_square(tilt_arcsec: FloatArray) -> FloatArray:
+def _tilted_normals(tilt_arcsec: FloatArray) -> FloatArray:
     """Normals (6, 3) of a cube whose faces are tilted by (6, 2)."""
     normals = SQUARE.copy()
     for i, (axis, _) in enumerate(FACES.values()):
@@ -260,13 +261,13 @@ def _out_of_square(tilt_arcsec: FloatArray) -> FloatArray:
     return np.asarray(normals / np.sqrt((normals**2).sum(axis=1, keepdims=True)))
 
 
-def sun_sensor(config: Config) -> Detector:
+def sun_sensor(config: CubeMirrorConfig) -> Detector:
     """Detector of the sun sensor."""
     return load_detector(config.sensor.detector or DATA / "cube_sun_sensor.toml")
 
 
-def mask_sensor(config: Config, detector: Detector, build: FloatArray) -> MaskSensor:
-    """The sun sensor behind a mask that is built off by parts (3,) of its tolerances: gap, centring along x and y."""
+def mask_sensor(config: CubeMirrorConfig, detector: Detector, build: FloatArray) -> MaskSensor:
+    """The sun sensor with errors (3,) of the mask in units of their sigma: gap, centring along x and y."""
     sensor = config.sensor
     return MaskSensor(
         width_px=detector.width_px,
@@ -279,20 +280,20 @@ def mask_sensor(config: Config, detector: Detector, build: FloatArray) -> MaskSe
 
 
 def start_angles(
-    laboratory: Laboratory, truth: Truth, table: Turntable, face: int, repeat: int, *, within_px: float
+    laboratory: CubeLaboratory, truth: TrueBench, table: Turntable, face: int, repeat: int, *, within_px: float
 ) -> FloatArray:
     """Initial angles of the table (2,) [rad]: the spot is ``start`` times ``within_px`` from the aperture."""
     name = laboratory.config.cube.faces[face]
     offset = truth.start[face, repeat] * within_px * laboratory.pitch_mm
-    straight = replace(table, non_orthogonality_arcsec=np.zeros(1))
+    orthogonal = replace(table, non_orthogonality_arcsec=np.zeros(1))
     normal = normal_of_offset(offset, laboratory.geometry.distance_mm)
-    angle = concentric_angles(straight, truth.normal_in_table(name), face_start_rad(name))
-    # from looking at the Sun to looking beside it: turn about y and x by the offset of the normal
+    angle = concentric_angles(orthogonal, truth.normal_in_table(name), face_start_rad(name))
+    # the normal is tilted by small rotations of the outer axis (x) and the inner axis (y)
     return angle + np.array([-normal[1], normal[0]])
 
 
-def check_bench(config: Config, geometry: BenchGeometry, camera: BenchCamera) -> None:
-    """Refuse a bench that cannot work."""
+def check_bench(config: CubeMirrorConfig, geometry: BenchGeometry, camera: BenchCamera) -> None:
+    """Refuse a bench without a visible rim of the spot, or with a spot beyond the screen or the picture."""
     hole, face = geometry.aperture_mm, geometry.face_mm
     blur = geometry.blur_mm(geometry.path_mm)
     if face < hole:
@@ -317,7 +318,7 @@ def check_bench(config: Config, geometry: BenchGeometry, camera: BenchCamera) ->
     _check_spot(config, geometry, camera, np.array([start, start]), "trim.start_px")
 
 
-def check_light_levels(config: Config, detector: Detector, sensor_detector: Detector) -> None:
+def check_light_levels(config: CubeMirrorConfig, detector: Detector, sensor_detector: Detector) -> None:
     """Refuse exposures that saturate."""
     for key, plateau_e, chip in (
         ("camera.plateau_e", config.camera.plateau_e, detector),
@@ -331,8 +332,10 @@ def check_light_levels(config: Config, detector: Detector, sensor_detector: Dete
             )
 
 
-def _check_spot(config: Config, geometry: BenchGeometry, camera: BenchCamera, spot_mm: FloatArray, hint: str) -> None:
-    """The whole spot must be on the screen and in the picture."""
+def _check_spot(
+    config: CubeMirrorConfig, geometry: BenchGeometry, camera: BenchCamera, spot_mm: FloatArray, hint: str
+) -> None:
+    """Refuse a spot that is not completely on the screen and in the picture."""
     reach = geometry.aperture_mm / 2 + geometry.blur_mm(geometry.path_mm)
     edge = float(np.max(np.abs(spot_mm)) + reach)
     if edge > geometry.screen_mm / 2:
@@ -352,20 +355,21 @@ def _check_spot(config: Config, geometry: BenchGeometry, camera: BenchCamera, sp
         )
 
 
-def check_landing(config: Config, geometry: BenchGeometry, camera: BenchCamera, pose: CubePose, face: str) -> None:
-    """Refuse a pose in which the beam misses the face or the spot is lost."""
+def check_landing(
+    config: CubeMirrorConfig, geometry: BenchGeometry, camera: BenchCamera, pose: CubePose, face: str
+) -> None:
+    """Refuse a pose in which the beam misses the face or the spot leaves screen or picture."""
     centre, normal = pose.face(face, geometry)
     if normal[2] < 0.5:
         raise DomainError(f"face {face} does not face the light; check the table's angles")
-    depth = (centre @ normal) / -normal[2]  # along the beam, from the aperture
-    hit = np.array([0.0, 0.0, -depth]) - centre
-    across = np.abs(pose.rotation.T @ hit)
+    distance = (centre @ normal) / -normal[2]  # along the beam, from the aperture
+    landing = pose.rotation.T @ (np.array([0.0, 0.0, -distance]) - centre)
     half, beam = geometry.face_mm / 2, geometry.aperture_mm / 2 + geometry.blur_mm(geometry.distance_mm)
-    worst = float(np.sort(across)[-1])
-    if worst + beam > half:
-        how = "misses" if worst - beam > half else "is cut by the edge of"
+    offset = float(np.abs(landing).max())
+    if offset + beam > half:
+        verb = "misses" if offset - beam > half else "is cut by the edge of"
         raise DomainError(
-            f"the beam {how} face {face}: it falls {worst:.4g} mm from the middle of a polished face of "
+            f"the beam {verb} face {face}: it falls {offset:.4g} mm from the middle of a polished face of "
             f"{geometry.face_mm:g} mm; bring cube.offset_mm nearer to the axes of the table or take a larger cube"
         )
     _check_spot(config, geometry, camera, reflected_spot_mm(geometry, pose, face), "trim.start_px, cube.mount_arcmin")

@@ -1,4 +1,4 @@
-"""Sun sensor to cube mirror: the run and the shown bench; the budget is in `budget`."""
+"""Sun sensor to cube mirror: the run and the example bench; the budget is in `experiments.cube.budget`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.measure.targets.circle_fit import CircleFit
 from calib.measure.targets.screen_circles import ScreenPicture
-from experiments.cube.bench import Case, Laboratory, Truth, build_laboratory, build_table, draw_truths
+from experiments.cube.bench import CubeCase, CubeLaboratory, TrueBench, build_laboratory, build_table, draw_truths
 from experiments.cube.budget import (
     BUDGET,
     DETECTOR_RELATIVE,
@@ -21,15 +21,15 @@ from experiments.cube.budget import (
     BudgetRow,
     beam_rates,
     build_budget,
+    eq13_arcsec,
     eq14_arcsec,
-    lean_rates,
     perfect_sensor,
-    sigma1_arcsec,
+    squareness_rates,
 )
 from experiments.cube.montecarlo import CASES, BenchResult, CaseResult, SensorCache, run_bench, run_cases
 from experiments.cube.noise import PictureNoise, picture_noise, sensor_noise
 from experiments.cube.sensor import SensorRun
-from experiments.cube.settings import Config
+from experiments.cube.settings import CubeMirrorConfig
 from experiments.cube.trim import FaceTrim
 from experiments.harness.drawings import arrows
 from experiments.harness.plotting import new_figure
@@ -45,168 +45,167 @@ from render.bench.spot import reflected_spot_mm
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Setup:
-    """Sizes, equations 13 and 14, and errors by geometry that eq. 14 leaves out."""
+class CubeSetup:
+    """Sizes, eq. 13 and 14, and errors by geometry that are not in eq. 14."""
 
-    r_sp_error_arcsec_1sigma: Sequence[Measured] = col("R_sp, as performed", "arcsec", dims="axis")
-    improved_arcsec: Sequence[Measured] = col("R_sp, improved reduction", "arcsec", dims="axis")
+    r_sp_error_arcsec: Sequence[Measured] = col("R_sp, as performed", "arcsec", dims="axis")
+    r_sp_error_improved_arcsec: Sequence[Measured] = col("R_sp, improved reduction", "arcsec", dims="axis")
     eq13_arcsec: float = col("Eq. 13", "arcsec", ".2f")
     eq14_arcsec: float = col("Eq. 14", "arcsec", ".2f")
-    benches: int = col("Benches")
+    benches: int = col("CaseErrors")
     settings_per_face: float = col("Settings per face", format=".1f")
     pitch_um: float = col("Pixel on the screen", "um", "g")
     spot_mm: float = col("Width of the spot", "mm", ".2f")
     rim_mm: float = col("Rim of the spot", "mm", ".2f")
-    lean_rate: FloatArray = col("Error of R_sp per squareness", dims="component")
-    beam_x_rate: FloatArray = col("Error of R_sp per beam in x", dims="component")
-    beam_y_rate: FloatArray = col("Error of R_sp per beam in y", dims="component")
+    error_per_squareness: FloatArray = col("Error of R_sp per squareness", dims="component")
+    error_per_beam_x: FloatArray = col("Error of R_sp per beam in x", dims="component")
+    error_per_beam_y: FloatArray = col("Error of R_sp per beam in y", dims="component")
 
 
-def setup(laboratory: Laboratory, cases: Mapping[str, CaseResult], rows: Sequence[BudgetRow]) -> Setup:
-    """Results of all benches, and the bench itself."""
+def setup(laboratory: CubeLaboratory, cases: Mapping[str, CaseResult], rows: Sequence[BudgetRow]) -> CubeSetup:
+    """Results of all benches, and sizes of the bench."""
     geometry, sensor, by_name = laboratory.geometry, perfect_sensor(laboratory), {row.term: row for row in rows}
     rim, beam = geometry.blur_mm(geometry.path_mm), beam_rates(laboratory.config, sensor)
-    return Setup(
-        r_sp_error_arcsec_1sigma=by_name["procedure"].measured,
-        improved_arcsec=by_name["improved"].measured,
-        eq13_arcsec=sigma1_arcsec(laboratory),
+    return CubeSetup(
+        r_sp_error_arcsec=by_name["procedure"].measured,
+        r_sp_error_improved_arcsec=by_name["improved"].measured,
+        eq13_arcsec=eq13_arcsec(laboratory),
         eq14_arcsec=eq14_arcsec(laboratory),
         benches=laboratory.config.benches.count,
         settings_per_face=float(cases["procedure"].trims.mean()),
         pitch_um=laboratory.pitch_mm * 1e3,
         spot_mm=geometry.aperture_mm + 2 * rim,
         rim_mm=rim,
-        lean_rate=lean_rates(laboratory.config, sensor),
-        beam_x_rate=beam[:, 0],
-        beam_y_rate=beam[:, 1],
+        error_per_squareness=squareness_rates(laboratory.config, sensor),
+        error_per_beam_x=beam[:, 0],
+        error_per_beam_y=beam[:, 1],
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Benches:
-    """Error of R_sp, bench by bench, in one case."""
+class CaseErrors:
+    """Error of R_sp, bench by bench, in a case."""
 
-    name: str = col("Case")
+    name: str = col("CubeCase")
     mean_error_arcsec: Sequence[Measured] = col("Mean error of R_sp", "arcsec", dims="axis", shown=False)
     error_arcsec: FloatArray = col("Error", "arcsec", dims="bench axis")
-    settings_first: Sequence[int] = col("Settings, first face", dims="bench")
-    settings_second: Sequence[int] = col("Settings, second face", dims="bench")
+    settings_first_face: Sequence[int] = col("Settings, first face", dims="bench")
+    settings_second_face: Sequence[int] = col("Settings, second face", dims="bench")
 
 
-def every_bench(case: CaseResult) -> Benches:
+def case_errors(case: CaseResult) -> CaseErrors:
     """All benches of a case."""
-    first, second = ([len(bench.trims[place].rows) for bench in case.bench] for place in (0, -1))
-    return Benches(
+    first, second = ([len(bench.trims[face].rows) for bench in case.bench] for face in (0, -1))
+    return CaseErrors(
         name=case.case.name,
         mean_error_arcsec=measured(*case.mean_arcsec, len(case.bench)),
         error_arcsec=case.error_arcsec,
-        settings_first=first,
-        settings_second=second,
+        settings_first_face=first,
+        settings_second_face=second,
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Noise:
+class CubeNoise:
     """Errors of R_sr on all benches, on a square table, and the scatter of pictures."""
 
     r_sr_predicted_arcsec: Sequence[Measured] = col("Error of R_sr, predicted", "arcsec", dims="axis")
     r_sr_mean_error_arcsec: Sequence[Measured] = col("Mean error of R_sr", "arcsec", dims="axis")
     r_sr_error_over_stated: FloatArray = col("Error of R_sr over the stated one", dims="axis")
     r_sr_error_over_predicted: Measured = col("Error of R_sr over predicted, RMS")
-    spots_predicted_px: float = col("Scatter of the spots, predicted", "px", ".4f")
-    # Aperture and spot from two pictures, and both from one; with the particles of the rendering, and without
+    spot_noise_predicted_px: float = col("Scatter of the spots, predicted", "px", ".4f")
+    # With the particles of the rendering, and by the detector alone
     picture_noise_px: Sequence[Measured] = col("Scatter of an offset, predicted", "px", dims="reduced")
     detector_noise_px: Sequence[Measured] = col(
         "Scatter of an offset by the detector alone, predicted", "px", dims="reduced"
     )
     squareness_sigma_arcsec: float = col("Standard deviation of the squareness", "arcsec", ".2f")
-    sensor_rms_arcsec: FloatArray = col("Part of R_sr, improved reduction", "arcsec", ".2f", "axis")
+    r_sr_improved_arcsec: FloatArray = col("Part of R_sr, improved reduction", "arcsec", ".2f", "axis")
 
 
-def noise(laboratory: Laboratory, cases: Mapping[str, CaseResult], pictures: PictureNoise) -> Noise:
+def noise(laboratory: CubeLaboratory, cases: Mapping[str, CaseResult], pictures: PictureNoise) -> CubeNoise:
     """Prediction against the errors of all benches."""
     reading, improved = cases["reading"], cases["improved"]
-    predicted = sensor_noise(laboratory, reading=True, lean=False)
+    predicted = sensor_noise(laboratory, reading=True, free_squareness=False)
     sigma = np.sqrt(np.diag(predicted.covariance_rad2)) * RAD_ARCSEC
-    off = np.array([one.sensor_error_arcsec for one in reading.bench]) / sigma
-    whole = np.array([pictures.two_px, pictures.own_px])
-    detector = np.array([pictures.two_detector_px, pictures.own_detector_px])
-    return Noise(
+    pull = np.array([bench.sensor_error_arcsec for bench in reading.bench]) / sigma
+    picture = np.array([pictures.two_pictures_px, pictures.one_picture_px])
+    detector = np.array([pictures.two_pictures_detector_px, pictures.one_picture_detector_px])
+    return CubeNoise(
         r_sr_predicted_arcsec=measured(sigma, SENSOR_RELATIVE * sigma),
         r_sr_mean_error_arcsec=measured(*reading.sensor_mean_arcsec, len(reading.bench)),
-        r_sr_error_over_stated=reading.sensor_pull,
+        r_sr_error_over_stated=reading.sensor_rms_pull,
         r_sr_error_over_predicted=Measured(
-            value=float(np.sqrt(np.mean(off**2))), uncertainty=1 / np.sqrt(2 * off.size), n=off.size
+            value=float(np.sqrt(np.mean(pull**2))), uncertainty=1 / np.sqrt(2 * pull.size), n=pull.size
         ),
-        spots_predicted_px=predicted.spot_px,
-        picture_noise_px=measured(whole, PICTURES_RELATIVE * whole),
+        spot_noise_predicted_px=predicted.spot_px,
+        picture_noise_px=measured(picture, PICTURES_RELATIVE * picture),
         detector_noise_px=measured(detector, DETECTOR_RELATIVE * detector),
-        squareness_sigma_arcsec=float(np.mean([one.sensor.lean_sigma_rad for one in improved.bench])) * RAD_ARCSEC,
-        sensor_rms_arcsec=improved.sensor_rms_arcsec,
+        squareness_sigma_arcsec=float(np.mean([bench.sensor.lean_sigma_rad for bench in improved.bench])) * RAD_ARCSEC,
+        r_sr_improved_arcsec=improved.sensor_rms_arcsec,
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Shown:
+class ExampleBench:
     """The first bench, as performed, with more particles."""
 
     trims: tuple[FaceTrim, ...]  # With their pictures
     error_arcsec: FloatArray = col("Error of R_sp", "arcsec", ".2f", "component")
     face_angle_deg: float = col("Faces", "deg", ".5f")
     true_face_angle_deg: float = col("Faces, true", "deg", ".5f")
-    # Spot minus aperture where the faces were left, and by the law of reflection
+    # Spot minus aperture at the end of the trims, and by the law of reflection
     offset_px: Sequence[Measured] = col("Remaining offset", "px", dims="face direction")
     true_offset_px: FloatArray = col("Remaining offset, true", "px", dims="face direction")
     rotation_arcsec: FloatArray = col("R_sr", "arcsec", dims="component")
     covariance_arcsec2: FloatArray = col("Covariance of R_sr", dims="component other")
     r_sr_error_arcsec: FloatArray = col("Error of R_sr", "arcsec", ".2f", "component")
-    spots_rms_px: float = col("Scatter of the spots", "px", ".4f")
+    spot_residual_rms_px: float = col("Scatter of the spots", "px", ".4f")
     positions: int = col("Positions of the table")
     mask_gap_mm: float = col("Mask to detector", "mm", ".5f")
-    mask_gap_true_mm: float = col("Mask to detector, true", "mm", ".5f")
+    true_mask_gap_mm: float = col("Mask to detector, true", "mm", ".5f")
     free_beam_arcsec: Sequence[Measured] = col("Beam off the Z axis", "arcsec", dims="angle")
     spot_px: FloatArray = col("Spot of the sun sensor", "px", dims="position direction")
     residual_px: FloatArray = col("Spots minus fit", "px", dims="position direction")
 
 
-def shown_bench(laboratory: Laboratory, truth: Truth, bench: BenchResult, spots: SensorRun) -> Shown:
-    """Numbers of the shown bench."""
+def example_bench(laboratory: CubeLaboratory, truth: TrueBench, bench: BenchResult, spots: SensorRun) -> ExampleBench:
+    """Numbers of the example bench."""
     sensor, config = bench.sensor, laboratory.config
     error = sensor.rotation * Rotation.from_matrix(truth.sensor_from_table).inv()
     table = build_table(config, truth, next(case for case in CASES if case.name == "procedure"))
-    offsets = [measured(trim.own.offset_px, trim.own.sigma_px) for trim in bench.trims]
-    true = [true_offset_px(laboratory, truth, table, trim) for trim in bench.trims]
-    return Shown(
+    offsets = [trim.one_picture_offset for trim in bench.trims]
+    return ExampleBench(
         trims=bench.trims,
         error_arcsec=bench.error_arcsec,
         face_angle_deg=bench.face_angle_rad * RAD_DEG,
         true_face_angle_deg=bench.true_face_angle_rad * RAD_DEG,
-        offset_px=offsets,
-        true_offset_px=np.array(true),
+        offset_px=[measured(offset.offset_px, offset.sigma_px) for offset in offsets],
+        true_offset_px=np.array([true_offset_px(laboratory, truth, table, trim) for trim in bench.trims]),
         rotation_arcsec=sensor.rotation.as_rotvec() * RAD_ARCSEC,
         covariance_arcsec2=sensor.covariance_rad2 * RAD_ARCSEC**2,
         r_sr_error_arcsec=error.as_rotvec() * RAD_ARCSEC,
-        spots_rms_px=sensor.sigma_px,
+        spot_residual_rms_px=sensor.sigma_px,
         positions=len(spots.pixel_px),
         mask_gap_mm=sensor.focal_length_mm,
-        mask_gap_true_mm=truth.sensor.gap_mm,
+        true_mask_gap_mm=truth.sensor.gap_mm,
         free_beam_arcsec=measured(sensor.free_beam_rad * RAD_ARCSEC, sensor.free_beam_sigma_rad * RAD_ARCSEC),
         spot_px=spots.pixel_px,
         residual_px=residuals_px(config, truth, bench, spots),
     )
 
 
-def true_offset_px(laboratory: Laboratory, truth: Truth, table: Turntable, trim: FaceTrim) -> FloatArray:
-    """Offset (2,) of a face where it was left, by the law of reflection."""
+def true_offset_px(laboratory: CubeLaboratory, truth: TrueBench, table: Turntable, trim: FaceTrim) -> FloatArray:
+    """Remaining offset (2,) of a face, by the law of reflection."""
     angle = np.radians([[trim.rows[-1].outer_deg, trim.rows[-1].inner_deg]])
-    top = table.rotation(angle)[0].as_matrix()
-    pose = CubePose.of_table(laboratory.geometry, top, truth.table_from_cube, truth.normal)
+    lab_from_table = table.rotation(angle)[0].as_matrix()
+    pose = CubePose.of_table(laboratory.geometry, lab_from_table, truth.table_from_cube, truth.normal)
     return reflected_spot_mm(laboratory.geometry, pose, trim.face) / laboratory.pitch_mm
 
 
-def residuals_px(config: Config, truth: Truth, bench: BenchResult, spots: SensorRun) -> FloatArray:
+def residuals_px(config: CubeMirrorConfig, truth: TrueBench, bench: BenchResult, spots: SensorRun) -> FloatArray:
     """Spots minus the fitted sensor, for the true angles of the table (n, 2)."""
-    table, sensor = build_table(config, truth, Case(name="", label="")).nominal, bench.sensor
+    table, sensor = build_table(config, truth, CubeCase(name="", label="")).nominal, bench.sensor
     sun = (sensor.rotation * table.rotation(spots.angle_rad).inv()).apply([0.0, 0.0, 1.0])
     fitted = replace(truth.sensor, gap_mm=sensor.focal_length_mm, offset_px=sensor.offset_px)
     return np.asarray(spots.pixel_px - fitted.spot_px(sun))
@@ -240,7 +239,7 @@ def trims_of(bench: BenchResult) -> list[Trim]:
 
 def draw_pictures(outcome: Outcome, face: int) -> Figure:
     """Aperture, first and last spot of a face with the fitted circles."""
-    trim = outcome.result["shown"].trims[face]
+    trim = outcome.result["example"].trims[face]
     figure, panels = new_figure(1, 3, aspect_ratio=0.42, sharex=True, sharey=True)
     titles = ("aperture, glowing", f"spot, trim 1 of {len(trim.rows)}", f"spot, trim {len(trim.rows)}")
     for axis, picture, title in zip(panels, trim.pictures, titles, strict=True):
@@ -266,8 +265,8 @@ def _outline(axis: Any, picture: ScreenPicture, circle: CircleFit, **style: Any)
     axis.plot(*picture.camera.to_pixel(circle.centre[None]).T, "+", markersize=7, **style)
 
 
-def axes(config: Config) -> Quantities:
-    """Axes of the cube frame, x and y of pictures, the two ways to see the aperture."""
+def axes(config: CubeMirrorConfig) -> Quantities:
+    """Dimensions that several sections share; "reduced": aperture and spot from two pictures, or both from one."""
     q = Quantities()
     q.axis("axis", ["x", "y", "z"], "Axis")
     q.axis("direction", ["x", "y"], "Direction")
@@ -277,15 +276,15 @@ def axes(config: Config) -> Quantities:
     return q
 
 
-def run(config: Config, *, progress: Progress) -> dict[str, Any]:
+def run(config: CubeMirrorConfig, *, progress: Progress) -> dict[str, Any]:
     """Build the bench, trim, calibrate, and repeat on every misaligned bench."""
     with progress.stage("bench"):
         laboratory = build_laboratory(config)
         truths = draw_truths(config, laboratory.streams)
-    performed, known = next(case for case in CASES if case.name == "procedure"), SensorCache()
-    with progress.stage("one bench, shown"):
+    performed, cache = next(case for case in CASES if case.name == "procedure"), SensorCache()
+    with progress.stage("example bench"):
         particles = config.benches.shown_log2_particles
-        bench = run_bench(laboratory, truths[0], performed, known, log2_particles=particles, keep=True)
+        bench = run_bench(laboratory, truths[0], performed, cache, log2_particles=particles, keep_pictures=True)
     cases = run_cases(laboratory, truths, CASES, progress)
     with progress.stage("budget"):
         pictures = picture_noise(laboratory)
@@ -293,18 +292,18 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     return {
         "setup": setup(laboratory, cases, rows),
         "budget": rows,
-        "benches": [every_bench(case) for case in cases.values()],
+        "benches": [case_errors(case) for case in cases.values()],
         "noise": noise(laboratory, cases, pictures),
-        "shown": shown_bench(laboratory, truths[0], bench, known.runs[performed.lean]),
+        "example": example_bench(laboratory, truths[0], bench, cache.runs[performed.non_orthogonal]),
         "trims": trims_of(bench),
     }
 
 
 SECTIONS = {
-    "setup": Section(record=Setup),
+    "setup": Section(record=CubeSetup),
     "budget": BUDGET,
     "benches": Section(
-        record=Benches,
+        record=CaseErrors,
         dim="case",
         along="name",
         rows="case bench",
@@ -312,7 +311,7 @@ SECTIONS = {
         caption="Error of R_sp, bench by bench.",
     ),
     "noise": Section(
-        record=Noise,
+        record=CubeNoise,
         verdicts=[
             ratio_near(
                 "r_sr_error_over_predicted",
@@ -321,8 +320,8 @@ SECTIONS = {
             )
         ],
     ),
-    "shown": Section(
-        record=Shown,
+    "example": Section(
+        record=ExampleBench,
         figures={"pictures": draw_pictures, "sensor_residuals": arrows("spot_px", "residual_px")},
         verdicts=[
             agree(
@@ -338,7 +337,7 @@ SECTIONS = {
         hidden="setting",
         rows="setting",
         across="direction",
-        caption="Trims of the shown bench, as in CUBE09 Table 1: spot minus aperture, from the pictures.",
+        caption="Trims of the example bench, as in CUBE09 Table 1: spot minus aperture, from the pictures.",
         note="One standard deviation, from the two circle fits.",
     ),
 }

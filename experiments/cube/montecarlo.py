@@ -25,9 +25,9 @@ from calib.calibration.cube_mirror import (
 )
 from calib.calibration.mask_sensor import MaskSensorCalibration
 from calib.calibration.table_axes import TableAxes
-from experiments.cube.bench import Case, Laboratory, Truth, build_table, nominal_normal
+from experiments.cube.bench import CubeCase, CubeLaboratory, TrueBench, build_table, nominal_normal
 from experiments.cube.sensor import SensorRun, calibrate_sensor, observe_spots
-from experiments.cube.settings import Config
+from experiments.cube.settings import CubeMirrorConfig
 from experiments.cube.trim import FaceTrim, trim_face
 from experiments.harness.progress import Progress
 from experiments.laboratory.devices.turntable import Turntable
@@ -35,35 +35,35 @@ from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD, RAD_ARCSEC
 
 CASES = (
-    Case(name="pixel", label="trim error of one pixel (eq. 13)", aim_px=1.0),
-    Case(name="trim", label="stop rule", coarse=True),
-    Case(name="square", label="non-orthogonal axes", lean=True),
-    Case(name="mounting", label="camera mount", mounting=True),
-    Case(name="reading", label="angle reading", reading=True),
-    Case(name="all", label="all of eq. 14", aim_px=1.0, lean=True, mounting=True, reading=True),
-    Case(name="procedure", label="as performed", coarse=True, lean=True, mounting=True, reading=True),
-    Case(
+    CubeCase(name="pixel", label="trim error of one pixel (eq. 13)", aim_px=1.0),
+    CubeCase(name="trim", label="stop rule", coarse=True),
+    CubeCase(name="square", label="non-orthogonal axes", non_orthogonal=True),
+    CubeCase(name="mounting", label="camera mount", mounting=True),
+    CubeCase(name="reading", label="angle reading", reading=True),
+    CubeCase(name="all", label="all of eq. 14", aim_px=1.0, non_orthogonal=True, mounting=True, reading=True),
+    CubeCase(name="procedure", label="as performed", coarse=True, non_orthogonal=True, mounting=True, reading=True),
+    CubeCase(
         name="improved",
         label="improved reduction",
         coarse=True,
-        lean=True,
+        non_orthogonal=True,
         mounting=True,
         reading=True,
         improved=True,
         pictures_of="procedure",
     ),
 )
-"""Terms alone, all of them as eq. 14 adds them, the procedure with its stop rule, and what would be better."""
+"""Single terms, all terms as eq. 14 adds them, the procedure with its stop rule, and an improved reduction."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BenchResult:
-    """One bench in one case."""
+    """A bench in a case; errors are rotation vectors in the cube frame."""
 
-    error_arcsec: FloatArray  # (3,) R_sp against the truth: rotation vector in the cube frame
-    cube_error_arcsec: FloatArray  # (3,) What R_pr contributes
-    sensor_error_arcsec: FloatArray  # (3,) What R_sr contributes, in the cube frame
-    # (3,) Part of the sun sensor in that, and of the table's axes where they are fitted with it
+    error_arcsec: FloatArray  # (3,) Of R_sp
+    cube_error_arcsec: FloatArray  # (3,) Contribution of R_pr
+    sensor_error_arcsec: FloatArray  # (3,) Contribution of R_sr
+    # (3,) Stated standard deviation of this contribution; with the squareness of the axes if it is fitted
     sensor_sigma_arcsec: FloatArray
     face_angle_rad: float  # Between the first two faces, measured
     true_face_angle_rad: float
@@ -72,18 +72,18 @@ class BenchResult:
 
 
 def solve_cube(
-    config: Config, truth: Truth, names: Sequence[str], normals: FloatArray, covariance: FloatArray
+    config: CubeMirrorConfig, truth: TrueBench, names: Sequence[str], normals: FloatArray, covariance: FloatArray
 ) -> MirrorSolution:
     """R_pr; Wahba's problem gets the cube's certificate (its true normals), TRIAD needs none."""
     certificate = config.cube.method == "wahba"
-    order = config.cube.faces
-    known = [truth.normal_in_cube(n, order) if certificate else nominal_normal(n) for n in names]
-    return cube_from_table(known, normals, covariance_rad2=covariance, method=config.cube.method)
+    faces = config.cube.faces
+    reference = [truth.normal_in_cube(n, faces) if certificate else nominal_normal(n) for n in names]
+    return cube_from_table(reference, normals, covariance_rad2=covariance, method=config.cube.method)
 
 
 def reduce_bench(
-    laboratory: Laboratory,
-    truth: Truth,
+    laboratory: CubeLaboratory,
+    truth: TrueBench,
     table: Turntable,
     trims: Sequence[FaceTrim],
     sensor: MaskSensorCalibration,
@@ -92,28 +92,29 @@ def reduce_bench(
 ) -> BenchResult:
     """R_sp of a bench and its error."""
     config, geometry = laboratory.config, laboratory.geometry
-    known = replace(table.nominal, non_orthogonality_arcsec=np.array([sensor.lean_rad * RAD_ARCSEC]))
-    normals, spreads = [], []
+    fitted_table = replace(table.nominal, non_orthogonality_arcsec=np.array([sensor.lean_rad * RAD_ARCSEC]))
+    normals, covariances = [], []
     for trim in trims:
-        offset_mm = trim.own.offset_px * laboratory.pitch_mm if improved else np.zeros(2)
-        normals.append(normal_in_table(known, trim.reading_rad, normal_of_offset(offset_mm, geometry.distance_mm)))
-        pictures = trim.own if improved else trim.offset
-        tilts = pictures.covariance_px2 * laboratory.tilt_per_px**2
-        spreads.append(normal_covariance(known, trim.reading_rad, tilts))
-    cube = solve_cube(config, truth, [trim.face for trim in trims], np.array(normals), np.array(spreads))
+        offset = trim.one_picture_offset if improved else trim.offset
+        offset_mm = offset.offset_px * laboratory.pitch_mm if improved else np.zeros(2)
+        normal = normal_of_offset(offset_mm, geometry.distance_mm)
+        normals.append(normal_in_table(fitted_table, trim.reading_rad, normal))
+        tilt_rad2 = offset.covariance_px2 * laboratory.tilt_per_px**2
+        covariances.append(normal_covariance(fitted_table, trim.reading_rad, tilt_rad2))
+    cube = solve_cube(config, truth, [trim.face for trim in trims], np.array(normals), np.array(covariances))
     rotation, covariance = sensor_to_cube(cube, sensor.rotation, sensor.covariance_rad2)
     if sensor.lean_sigma_rad > 0:
-        rate = _lean_rate(config, truth, known, trims)
+        rate = _squareness_rate(config, truth, fitted_table, trims)
         covariance = covariance + lean_covariance(rate, rotation, sensor.lean_sigma_rad, sensor.lean_cross_rad2)
     true_cube = Rotation.from_matrix(truth.cube_from_table(config.cube.faces))
     true_sensor = Rotation.from_matrix(truth.sensor_from_table)
     true_rotation = true_cube * true_sensor.inv()
-    sensor_part = rotation_error_rad(sensor.rotation, true_sensor)
+    sensor_error_rad = rotation_error_rad(sensor.rotation, true_sensor)
     first, second = (truth.normal_in_table(trims[i].face) for i in (0, config.cube.repeats))
     return BenchResult(
         error_arcsec=rotation_error_rad(rotation, true_rotation) * RAD_ARCSEC,
         cube_error_arcsec=rotation_error_rad(cube.rotation, true_cube) * RAD_ARCSEC,
-        sensor_error_arcsec=-true_rotation.apply(sensor_part) * RAD_ARCSEC,
+        sensor_error_arcsec=-true_rotation.apply(sensor_error_rad) * RAD_ARCSEC,
         sensor_sigma_arcsec=np.sqrt(np.diag(covariance - cube.covariance_rad2)) * RAD_ARCSEC,
         face_angle_rad=cube.face_angle_rad,
         true_face_angle_rad=angle_between_rad(first, second),
@@ -122,33 +123,36 @@ def reduce_bench(
     )
 
 
-def _lean_rate(config: Config, truth: Truth, known: TableAxes, trims: Sequence[FaceTrim]) -> FloatArray:
+def _squareness_rate(
+    config: CubeMirrorConfig, truth: TrueBench, table: TableAxes, trims: Sequence[FaceTrim]
+) -> FloatArray:
     """Difference quotient (3,) of R_pr by the fitted non-orthogonality [rad/rad]."""
-    step = 1.0
-    moved = replace(known, non_orthogonality_arcsec=known.non_orthogonality_arcsec + step)
-    names, spread = [trim.face for trim in trims], np.zeros((len(trims), 3, 3))
-    pair = []
-    for table in (moved, known):
-        normals = np.array([normal_in_table(table, trim.reading_rad) for trim in trims])
-        pair.append(solve_cube(config, truth, names, normals, spread).rotation)
-    return rotation_error_rad(*pair) / (step * ARCSEC_RAD)
+    step_arcsec = 1.0
+    stepped = replace(table, non_orthogonality_arcsec=table.non_orthogonality_arcsec + step_arcsec)
+    names, no_covariance = [trim.face for trim in trims], np.zeros((len(trims), 3, 3))
+
+    def cube(axes: TableAxes) -> Rotation:
+        normals = np.array([normal_in_table(axes, trim.reading_rad) for trim in trims])
+        return solve_cube(config, truth, names, normals, no_covariance).rotation
+
+    return rotation_error_rad(cube(stepped), cube(table)) / (step_arcsec * ARCSEC_RAD)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CaseResult:
-    """All benches in one case."""
+    """All benches in a case."""
 
-    case: Case  # Which errors were on
-    bench: tuple[BenchResult, ...]  # Bench by bench
+    case: CubeCase
+    bench: tuple[BenchResult, ...]
 
     @property
     def error_arcsec(self) -> FloatArray:
         """Errors of R_sp (n, 3)."""
-        return np.array([one.error_arcsec for one in self.bench])
+        return np.array([bench.error_arcsec for bench in self.bench])
 
     @property
     def rms_arcsec(self) -> FloatArray:
-        """1 sigma per axis (3,): root of the mean square about zero, so that a bias counts."""
+        """1 sigma per axis (3,): root of the mean square about zero, which includes a bias."""
         return np.asarray(np.sqrt(np.mean(self.error_arcsec**2, axis=0)))
 
     @property
@@ -159,23 +163,23 @@ class CaseResult:
     @property
     def sensor_mean_arcsec(self) -> tuple[FloatArray, FloatArray]:
         """Mean contribution of R_sr (3,), and its standard deviation (3,)."""
-        return _mean(np.array([one.sensor_error_arcsec for one in self.bench]))
+        return _mean(np.array([bench.sensor_error_arcsec for bench in self.bench]))
 
     @property
-    def sensor_pull(self) -> FloatArray:
-        """RMS of the errors of R_sr over their stated standard deviations (3,); 1 where the fit states them well."""
-        pulls = [one.sensor_error_arcsec / one.sensor_sigma_arcsec for one in self.bench]
+    def sensor_rms_pull(self) -> FloatArray:
+        """RMS of the errors of R_sr over their stated standard deviations (3,)."""
+        pulls = [bench.sensor_error_arcsec / bench.sensor_sigma_arcsec for bench in self.bench]
         return np.asarray(np.sqrt(np.mean(np.square(pulls), axis=0)))
 
     @property
     def sensor_rms_arcsec(self) -> FloatArray:
-        """What R_sr contributes (3,)."""
-        return np.asarray(np.sqrt(np.mean([one.sensor_error_arcsec**2 for one in self.bench], axis=0)))
+        """RMS contribution of R_sr (3,)."""
+        return np.asarray(np.sqrt(np.mean([bench.sensor_error_arcsec**2 for bench in self.bench], axis=0)))
 
     @property
     def trims(self) -> FloatArray:
         """Settings of the table per face, all benches."""
-        return np.array([len(trim.rows) for one in self.bench for trim in one.trims])
+        return np.array([len(trim.rows) for bench in self.bench for trim in bench.trims])
 
 
 def _mean(error: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -183,10 +187,10 @@ def _mean(error: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 class SensorCache:
-    """Spots and calibrations of one bench's sensor.
+    """Spots and calibrations of the sun sensor of a bench.
 
-    Only the axes of the table change where the spots fall; the angle readings do not. So one run serves all cases with
-    the same axes, and one calibration all cases with the same axes, readings and fit.
+    The spots depend on the axes of the table, not on the angle readings: a run serves all cases with the same axes, a
+    calibration all cases with the same axes, readings and fit.
     """
 
     def __init__(self) -> None:
@@ -195,64 +199,64 @@ class SensorCache:
 
 
 def _sensor(
-    laboratory: Laboratory, truth: Truth, case: Case, table: Turntable, known: SensorCache
+    laboratory: CubeLaboratory, truth: TrueBench, case: CubeCase, table: Turntable, cache: SensorCache
 ) -> MaskSensorCalibration:
-    bench = laboratory.streams.child("bench", truth.number)
-    if case.lean not in known.runs:
-        exact = build_table(laboratory.config, truth, Case(name="", label="", lean=case.lean))
-        known.runs[case.lean] = observe_spots(laboratory, truth, exact, bench.child("spots", int(case.lean)))
-    key = (case.lean, case.reading, case.improved)
-    if key not in known.calibrations:
-        known.calibrations[key] = calibrate_sensor(
-            laboratory, truth, table, known.runs[case.lean], bench.child("readings"), free=case.improved
+    streams, axes = laboratory.streams.child("bench", truth.number), case.non_orthogonal
+    if axes not in cache.runs:
+        without_reading_noise = build_table(laboratory.config, truth, CubeCase(name="", label="", non_orthogonal=axes))
+        spots = streams.child("spots", int(axes))
+        cache.runs[axes] = observe_spots(laboratory, truth, without_reading_noise, spots)
+    key = (axes, case.reading, case.improved)
+    if key not in cache.calibrations:
+        readings = streams.child("readings")
+        cache.calibrations[key] = calibrate_sensor(
+            laboratory, truth, table, cache.runs[axes], readings, free_squareness=case.improved
         )
-    return known.calibrations[key]
+    return cache.calibrations[key]
 
 
 def run_bench(
-    laboratory: Laboratory,
-    truth: Truth,
-    case: Case,
-    known: SensorCache,
+    laboratory: CubeLaboratory,
+    truth: TrueBench,
+    case: CubeCase,
+    cache: SensorCache,
     *,
     log2_particles: int,
-    keep: bool = False,
-    taken: Sequence[FaceTrim] = (),
+    keep_pictures: bool = False,
+    trims: Sequence[FaceTrim] = (),
 ) -> BenchResult:
-    """Step 1 to 5 on one bench."""
+    """Steps 1 to 5 on a bench; ``trims`` of the case `CubeCase.pictures_of`."""
     table = build_table(laboratory.config, truth, case)
-    bench = laboratory.streams.child("bench", truth.number)
-    sensor = _sensor(laboratory, truth, case, table, known)
-    if case.pictures_of:
-        return reduce_bench(laboratory, truth, table, taken, sensor, improved=case.improved)
-    trims: list[FaceTrim] = []
-    for face in range(len(laboratory.config.cube.faces)):
-        for repeat in range(laboratory.config.cube.repeats):
-            trims.append(
-                trim_face(
-                    laboratory,
-                    truth,
-                    case,
-                    table,
-                    face,
-                    repeat,
-                    streams=bench.child(case.name, face, repeat),
-                    log2_particles=log2_particles,
-                    keep=keep,
-                )
+    streams = laboratory.streams.child("bench", truth.number)
+    sensor = _sensor(laboratory, truth, case, table, cache)
+    if not case.pictures_of:
+        trims = [
+            trim_face(
+                laboratory,
+                truth,
+                case,
+                table,
+                face,
+                repeat,
+                streams=streams.child(case.name, face, repeat),
+                log2_particles=log2_particles,
+                keep_pictures=keep_pictures,
             )
+            for face in range(len(laboratory.config.cube.faces))
+            for repeat in range(laboratory.config.cube.repeats)
+        ]
     return reduce_bench(laboratory, truth, table, trims, sensor, improved=case.improved)
 
 
 def run_cases(
-    laboratory: Laboratory, truths: Sequence[Truth], cases: Sequence[Case], progress: Progress
+    laboratory: CubeLaboratory, truths: Sequence[TrueBench], cases: Sequence[CubeCase], progress: Progress
 ) -> dict[str, CaseResult]:
-    """Every bench through every case."""
-    found: dict[str, list[BenchResult]] = {case.name: [] for case in cases}
+    """Every bench in every case."""
+    results: dict[str, list[BenchResult]] = {case.name: [] for case in cases}
     particles = laboratory.config.benches.log2_particles
     for truth in progress.track(truths, "benches"):
-        known = SensorCache()
+        cache = SensorCache()
         for case in cases:
-            taken = found[case.pictures_of][-1].trims if case.pictures_of else ()
-            found[case.name].append(run_bench(laboratory, truth, case, known, log2_particles=particles, taken=taken))
-    return {case.name: CaseResult(case=case, bench=tuple(found[case.name])) for case in cases}
+            trims = results[case.pictures_of][-1].trims if case.pictures_of else ()
+            results[case.name].append(run_bench(laboratory, truth, case, cache, log2_particles=particles, trims=trims))
+    return {case.name: CaseResult(case=case, bench=tuple(results[case.name])) for case in cases}

@@ -1,4 +1,4 @@
-"""Noise of pictures and sun sensor, predicted from detector, light and geometry without pictures or fits.
+"""CubeNoise of pictures and sun sensor, predicted from detector, light and geometry without pictures or fits.
 
 Pictures: `calib.measure.targets.circle_noise` for the detector; the particles of the rendering add noise that a
 laboratory does not have (`render.bench.spot`). The rim of the spot and its slope follow from the overlap of two
@@ -25,7 +25,7 @@ from calib.measure.targets.circle_noise import (
     rim_contour,
 )
 from calib.measure.targets.screen_circles import EDGE_HALF_WIDTH_PX, RAYS, RIM_LEVEL, RIM_PX, SPOKES
-from experiments.cube.bench import Laboratory
+from experiments.cube.bench import CubeLaboratory
 from experiments.cube.sensor import EXPOSURE_S, field_angles
 from optics.arrays import FloatArray
 from render.bench.spot import landing_points_px, mask_spot_variance_px2, spot_profile
@@ -33,17 +33,17 @@ from render.detector.noise import PixelNoise
 from render.detector.spec import Detector
 
 NETS = 48
-"""Scrambled nets whose sums give the particles' part: its standard deviation is known to 1 / sqrt(4 NETS) = 7 %."""
+"""Scrambled nets that estimate the noise by the particles; relative error of its sigma 1 / sqrt(4 NETS) = 7 %."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PictureNoise:
     """Standard deviation per axis of a measured offset [px of the screen]."""
 
-    two_px: float  # Aperture and spot from two pictures
-    own_px: float  # Both from the picture of the spot
-    two_detector_px: float  # Part of detector and shot noise in the first: all that a laboratory has
-    own_detector_px: float  # The same in the second
+    two_pictures_px: float  # Aperture and spot from two pictures
+    one_picture_px: float  # Both from the picture of the spot
+    two_pictures_detector_px: float  # Two pictures, by detector and shot noise alone, as in a laboratory
+    one_picture_detector_px: float  # One picture, by detector and shot noise alone
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,17 +51,17 @@ class SensorNoise:
     """Scatter of the calibration of the sun sensor."""
 
     spot_px: float  # Standard deviation of a spot per axis, RMS over the positions
-    # (3, 3) Of what R_sr, and the fitted squareness, do to R_sp: rotation vector in the cube frame
+    # (3, 3) Of the contribution of R_sr, and of the fitted squareness, to R_sp: rotation vector in the cube frame
     covariance_rad2: FloatArray
 
 
 def pixel_noise(detector: Detector, exposure_s: float) -> PixelNoise:
-    """Noise of a pixel at the detector's reference temperature."""
+    """CubeNoise of a pixel at the detector's reference temperature."""
     return PixelNoise.of(detector, temperature_c=detector.dark_reference_c, exposure_s=exposure_s)
 
 
-def of_detector_px2(laboratory: Laboratory, edge: Contour, full_e: float) -> float:
-    """Variance of a centre by the detector."""
+def detector_variance_px2(laboratory: CubeLaboratory, edge: Contour, full_e: float) -> float:
+    """Variance of the centre of a circle by the detector."""
     noise = pixel_noise(laboratory.detector, laboratory.config.camera.exposure_s)
 
     def variance_e2(brightness: float) -> float:
@@ -72,34 +72,42 @@ def of_detector_px2(laboratory: Laboratory, edge: Contour, full_e: float) -> flo
     return centre_variance_px2(edge, full_e, SPOKES * RAYS, at_edge, at_rim, RIM_PX)
 
 
-def picture_noise(laboratory: Laboratory) -> PictureNoise:
-    """Noise of spot minus aperture for a concentric, trimmed face."""
+def picture_noise(laboratory: CubeLaboratory) -> PictureNoise:
+    """CubeNoise of spot minus aperture for a concentric, trimmed face."""
     geometry, pitch = laboratory.geometry, laboratory.pitch_mm
-    hole, lean = geometry.aperture_mm / 2 / pitch, geometry.blur_mm(geometry.path_mm) / pitch
+    hole, rim_width = geometry.aperture_mm / 2 / pitch, geometry.blur_mm(geometry.path_mm) / pitch
     blur = blur_px(laboratory)
-    radius = np.arange(0.5 * hole, hole + lean + 25.0, 0.25)
+    radius = np.arange(0.5 * hole, hole + rim_width + 25.0, 0.25)
     spot = rim_contour(spot_profile(geometry, radius * pitch), radius, hole, EDGE_HALF_WIDTH_PX["spot"], RIM_LEVEL)
     half = EDGE_HALF_WIDTH_PX["hole"]
     step, rim = blurred_step_slope(blur, half), float(spot_profile(geometry, [(hole + 1.0) * pitch])[0])
-    own = Contour(radius=hole, slope=step * rim, brightness=rim / 2, half=half, rim=rim)
+    hole_edge = Contour(radius=hole, slope=step * rim, brightness=rim / 2, half=half, rim=rim)
     aperture = Contour(radius=hole, slope=step, brightness=0.5, half=EDGE_HALF_WIDTH_PX["aperture"])
-    of_spot, of_hole = (of_detector_px2(laboratory, edge, laboratory.config.camera.plateau_e) for edge in (spot, own))
-    of_aperture = of_detector_px2(laboratory, aperture, float(np.percentile(laboratory.aperture_e, 99.0)))
-    detector2 = np.array([of_spot + of_aperture, of_spot + of_hole])
+    plateau_e, aperture_e = laboratory.config.camera.plateau_e, float(np.percentile(laboratory.aperture_e, 99.0))
+    spot2, hole2, aperture2 = (
+        detector_variance_px2(laboratory, edge, full_e)
+        for edge, full_e in ((spot, plateau_e), (hole_edge, plateau_e), (aperture, aperture_e))
+    )
+    detector2 = np.array([spot2 + aperture2, spot2 + hole2])
     log2_particles = laboratory.config.benches.log2_particles
-    nets = (landing_points_px(hole, lean, log2_particles, seed) for seed in range(NETS))
-    offsets = np.array([light_offsets_px(*net, spot, own, blur, SPOKES * RAYS, RIM_PX) for net in nets])
-    whole, detector = np.sqrt([detector2 + np.mean(offsets**2, axis=(0, 2)), detector2]).tolist()
-    return PictureNoise(two_px=whole[0], own_px=whole[1], two_detector_px=detector[0], own_detector_px=detector[1])
+    nets = (landing_points_px(hole, rim_width, log2_particles, seed) for seed in range(NETS))
+    offsets = np.array([light_offsets_px(*net, spot, hole_edge, blur, SPOKES * RAYS, RIM_PX) for net in nets])
+    total, detector = np.sqrt([detector2 + np.mean(offsets**2, axis=(0, 2)), detector2]).tolist()
+    return PictureNoise(
+        two_pictures_px=total[0],
+        one_picture_px=total[1],
+        two_pictures_detector_px=detector[0],
+        one_picture_detector_px=detector[1],
+    )
 
 
-def blur_px(laboratory: Laboratory) -> float:
+def blur_px(laboratory: CubeLaboratory) -> float:
     """Width of a point's light in the interpolated picture: diffusion, pixel and interpolation."""
     return float(np.sqrt(laboratory.detector.diffusion_sigma_px**2 + 1.0 / 12.0 + 1.0 / 6.0))
 
 
-def sensor_noise(laboratory: Laboratory, *, reading: bool, lean: bool) -> SensorNoise:
-    """Noise of the calibration of the sun sensor at all positions of the field."""
+def sensor_noise(laboratory: CubeLaboratory, *, reading: bool, free_squareness: bool) -> SensorNoise:
+    """CubeNoise of the calibration of the sun sensor at all positions of the field."""
     table = laboratory.config.table
     noise_arcsec = (table.outer_reading_arcsec, table.inner_reading_arcsec) if reading else 0.0
     axes = TableAxes.create("xy", reading_noise_arcsec=noise_arcsec)
@@ -107,11 +115,11 @@ def sensor_noise(laboratory: Laboratory, *, reading: bool, lean: bool) -> Sensor
     cosine = axes.rotation(angle).as_matrix()[:, 2, 2]
     spot2 = spot_variance_px2(laboratory, cosine)
     per_rad = laboratory.config.sensor.gap_mm / laboratory.sensor_detector.pixel_pitch_mm
-    covariance = mask_sensor_noise(axes, angle, spot2, per_rad, free_lean=lean)
+    covariance = mask_sensor_noise(axes, angle, spot2, per_rad, free_lean=free_squareness)
     return SensorNoise(spot_px=float(np.sqrt(spot2.mean())), covariance_rad2=covariance)
 
 
-def spot_variance_px2(laboratory: Laboratory, cosine: FloatArray) -> FloatArray:
+def spot_variance_px2(laboratory: CubeLaboratory, cosine: FloatArray) -> FloatArray:
     """Variance (n,) of a spot's centre of light per axis, at cosines of the angle from the sensor's axis."""
     config, noise = laboratory.config.sensor, pixel_noise(laboratory.sensor_detector, EXPOSURE_S)
     variance = disk_centre_variance_px2(
@@ -127,12 +135,12 @@ def spot_variance_px2(laboratory: Laboratory, cosine: FloatArray) -> FloatArray:
     return variance + spot_particles_px2(laboratory, cosine)
 
 
-def hole_px(laboratory: Laboratory) -> float:
+def hole_px(laboratory: CubeLaboratory) -> float:
     """Radius of the hole of the mask [px]."""
     return laboratory.config.sensor.hole_um * 1e-3 / 2 / laboratory.sensor_detector.pixel_pitch_mm
 
 
-def spot_particles_px2(laboratory: Laboratory, cosine: FloatArray) -> float:
+def spot_particles_px2(laboratory: CubeLaboratory, cosine: FloatArray) -> float:
     """Variance by the number of particles of a spot."""
     config = laboratory.config.sensor
     sun_px = np.tan(laboratory.geometry.half_angle_rad) * config.gap_mm / laboratory.sensor_detector.pixel_pitch_mm

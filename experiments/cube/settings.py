@@ -53,7 +53,7 @@ class CubeConfig(StrictModel):
     method: Literal["triad", "wahba"] = Field(default="triad", description="reduction method")
 
 
-class CameraConfig(StrictModel):
+class CubeCameraConfig(StrictModel):
     """CCD camera that images the screen."""
 
     detector: FileName = Field(default="", description="detector TOML file; empty: the 15 um CCD of CUBE09")
@@ -69,7 +69,7 @@ class CameraConfig(StrictModel):
     )
 
 
-class TableConfig(StrictModel):
+class CubeTableConfig(StrictModel):
     """The two-axis turntable."""
 
     outer_reading_arcsec: float = Field(default=0.3, ge=0, le=60, description="1 sigma of a reading (CUBE09)")
@@ -122,14 +122,14 @@ class BenchesConfig(StrictModel):
     )
 
 
-class Config(ExperimentConfig):
+class CubeMirrorConfig(ExperimentConfig):
     """The published run; CUBE09 states distance, aperture, pixel, table, stop rule and error terms."""
 
     simulator: SimulatorConfig = SimulatorConfig()
     screen: ScreenConfig = ScreenConfig()
     cube: CubeConfig = CubeConfig()
-    camera: CameraConfig = CameraConfig()
-    table: TableConfig = TableConfig()
+    camera: CubeCameraConfig = CubeCameraConfig()
+    table: CubeTableConfig = CubeTableConfig()
     trim: TrimConfig = TrimConfig()
     sensor: SunSensorConfig = SunSensorConfig()
     benches: BenchesConfig = BenchesConfig()
@@ -143,7 +143,7 @@ class Config(ExperimentConfig):
         )
 
     @model_validator(mode="after")
-    def _reachable(self) -> Config:
+    def _reachable(self) -> CubeMirrorConfig:
         cube = self.cube
         for face in cube.faces:
             if face in ("+Y", "-Y"):
@@ -173,7 +173,7 @@ class Config(ExperimentConfig):
 
 experiment = Experiment(
     name="cube",
-    config=Config,
+    config=CubeMirrorConfig,
     run="experiment:run",
     sections="experiment:SECTIONS",
     axes="experiment:axes",

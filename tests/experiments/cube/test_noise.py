@@ -7,12 +7,10 @@ from scipy.spatial.transform import Rotation
 from calib.calibration.table_axes import TableAxes
 from calib.measure.centroiding.moments import centre_of_light
 from calib.measure.targets.screen_circles import fit_aperture, fit_hole, fit_spot, measure_offset
-from experiments.cube import bench as cube_bench
-from experiments.cube.bench import NOMINAL_CUBE, SQUARE, Case, build_table, draw_truths
+from experiments.cube.bench import NOMINAL_CUBE, SQUARE, CubeCase, build_table, draw_truths
 from experiments.cube.budget import DETECTOR_RELATIVE, reading_term
 from experiments.cube.noise import picture_noise, spot_particles_px2
 from experiments.cube.sensor import field_angles
-from experiments.cube.settings import Config
 from experiments.cube.trim import exposed, spot_reach_mm
 from render.bench.scene import CubePose, place_cube
 from render.bench.sensor import mask_scene, trace_mask
@@ -21,13 +19,8 @@ from render.engine.random import Streams
 PICTURES = 24
 
 
-@pytest.fixture(scope="module")
-def laboratory(engine):
-    return cube_bench.build_laboratory(Config(benches={"count": 2}))
-
-
 def turn_face(laboratory, tilt_rad):
-    """A perfect cube whose +Z face looks at the light but for a tilt that moves the spot along +x."""
+    """A perfect cube whose +Z face faces the light except for a tilt that moves the spot along +x."""
     table = Rotation.from_rotvec([0.0, tilt_rad, 0.0]) * Rotation.from_euler("y", 180, degrees=True)
     pose = CubePose.of_table(laboratory.geometry, table.as_matrix(), NOMINAL_CUBE, SQUARE)
     place_cube(laboratory.scene, laboratory.geometry, pose)
@@ -48,11 +41,11 @@ def test_noise_of_the_pictures_by_the_detector(laboratory):
         aperture = fit_aperture(exposed(laboratory, laboratory.aperture_e, streams.child("aperture")), radius)
         picture = exposed(laboratory, light, streams.child("spot"))
         spot = fit_spot(picture, aperture, reach)
-        of_both = aperture, fit_hole(picture, aperture)
-        offsets.append([measure_offset(one, spot, laboratory.pitch_mm).offset_px for one in of_both])
+        apertures = aperture, fit_hole(picture, aperture)
+        offsets.append([measure_offset(edge, spot, laboratory.pitch_mm).offset_px for edge in apertures])
     scatter = np.sqrt(np.var(offsets, axis=0, ddof=1).mean(1))
     predicted = picture_noise(laboratory)
-    ratio = scatter / [predicted.two_detector_px, predicted.own_detector_px]
+    ratio = scatter / [predicted.two_pictures_detector_px, predicted.one_picture_detector_px]
     assert ratio == pytest.approx(np.ones(2), abs=DETECTOR_RELATIVE + 3.29 / np.sqrt(4 * (PICTURES - 1)))
 
 
@@ -63,8 +56,8 @@ def test_particles_of_the_rendered_spots(laboratory):
     Without the Sun's width the prediction is 40 % low.
     """
     config = laboratory.config
-    truth, found = draw_truths(config, Streams(11))[0], []
-    table = build_table(config, truth, Case(name="", label=""))
+    truth, errors = draw_truths(config, Streams(11))[0], []
+    table = build_table(config, truth, CubeCase(name="", label=""))
     sun = table.rotation(field_angles(config)).inv().apply([0.0, 0.0, 1.0]) @ truth.sensor_from_table.T
     true, side = truth.sensor.spot_px(sun), config.sensor.window_px
     corner = np.rint(true).astype(int) - side // 2
@@ -79,35 +72,35 @@ def test_particles_of_the_rendered_spots(laboratory):
             log2_particles=config.sensor.log2_particles,
             seed=seed,
         )
-        found.append(centre_of_light(light.astype(float)) + corner - true)
+        errors.append(centre_of_light(light.astype(float)) + corner - true)
     predicted = np.sqrt(spot_particles_px2(laboratory, sun[:, 2]))
-    assert np.sqrt(np.mean(np.square(found))) == pytest.approx(predicted, rel=4 * 0.03 * np.sqrt(1 / 3 + 1 / 4))
+    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(predicted, rel=4 * 0.03 * np.sqrt(1 / 3 + 1 / 4))
 
 
 def test_readings_of_outer_and_inner_axis():
     """By differences: the outer axis acts on x (first face) and z (second), the inner one on y."""
     angle, step, total = np.radians([[0.0, 180.0], [0.0, 90.0]]), 1e-6, np.zeros(3)
-    straight = cube_of(angle)
+    reference = cube_of(angle)
     for face in range(2):
         for axis, sigma in enumerate((1.0, 3.0)):
-            moved = angle.copy()
-            moved[face, axis] += step
-            total += ((cube_of(moved) * straight.inv()).as_rotvec() / step * sigma) ** 2
+            stepped = angle.copy()
+            stepped[face, axis] += step
+            total += ((cube_of(stepped) * reference.inv()).as_rotvec() / step * sigma) ** 2
     assert np.sqrt(total) == pytest.approx(reading_term(1.0, 3.0), rel=1e-4)
 
 
 def test_squareness_assumed_too_large_turns_the_cube_about_z():
-    """The second face takes all of it: what the prediction of the better reduction counts with."""
-    angle, lean_rad = np.radians([[0.0, 180.0], [0.0, 90.0]]), np.radians(10.0 / 3600.0)
+    """The second face takes the full angle, as the prediction of the improved reduction assumes."""
+    angle, error_rad = np.radians([[0.0, 180.0], [0.0, 90.0]]), np.radians(10.0 / 3600.0)
     turn = (cube_of(angle, 10.0) * cube_of(angle).inv()).as_rotvec()
-    assert turn == pytest.approx([0.0, 0.0, -lean_rad], rel=1e-4, abs=1e-12)
+    assert turn == pytest.approx([0.0, 0.0, -error_rad], rel=1e-4, abs=1e-12)
     assert cube_of(angle).as_matrix() == pytest.approx(np.diag([-1.0, 1.0, -1.0]), abs=1e-12)
 
 
-def cube_of(angle_rad, lean_arcsec=0.0):
+def cube_of(angle_rad, non_orthogonality_arcsec=0.0):
     """R_pr of the +Z and the +X face: Z the first normal, X the part of the second that is square to it."""
-    table = TableAxes.create("xy", non_orthogonality_arcsec=lean_arcsec)
+    table = TableAxes.create("xy", non_orthogonality_arcsec=non_orthogonality_arcsec)
     first, second = table.rotation(angle_rad).inv().apply([0.0, 0.0, 1.0])
-    across = second - (second @ first) * first
-    across /= np.linalg.norm(across)
-    return Rotation.from_matrix([across, np.cross(first, across), first])
+    x_axis = second - (second @ first) * first
+    x_axis /= np.linalg.norm(x_axis)
+    return Rotation.from_matrix([x_axis, np.cross(first, x_axis), first])
