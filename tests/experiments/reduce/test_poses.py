@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -33,9 +35,10 @@ def image_px(outer, inner):
     return (SIZE - 1) / 2 + PRINCIPAL + ideal * (1 + Q1 * (ideal @ ideal)) / PITCH_MM
 
 
-@pytest.fixture
-def poses(tmp_path):
+@pytest.fixture(scope="module")
+def poses(tmp_path_factory):
     """30 poses of two frames that calibrate, 20 of one frame that are evaluated; series in a CSV table."""
+    folder = tmp_path_factory.mktemp("poses")
     rng, rows = np.random.default_rng(17), ["files,name,outer_deg,inner_deg,use"]
     for use, columns, lines, frames in (("calibration", 6, 5, 2), ("evaluation", 5, 4, 1)):
         grid = np.stack(np.meshgrid(np.linspace(-5.6, 5.6, columns), np.linspace(-3.7, 3.7, lines)), -1).reshape(-1, 2)
@@ -43,13 +46,13 @@ def poses(tmp_path):
             light = spots(SIZE[::-1], [image_px(np.radians(outer), np.radians(inner))], 30000.0)
             dn = readout(np.stack([light] * frames), rng, gain=0.4, offset=100.0, read=8.0)
             name = f"{use[:3]}{number:02d}"
-            write(tmp_path / f"{name}.fits", dn)
+            write(folder / f"{name}.fits", dn)
             outer_deg, inner_deg = np.array([outer, inner]) + rng.normal(0.0, READING / 3600, 2)
             rows.append(f"{name}.fits,{name},{outer_deg},{inner_deg},{use}")
-    (tmp_path / "poses.csv").write_text("\n".join(rows) + "\n")
+    (folder / "poses.csv").write_text("\n".join(rows) + "\n")
     table = f"[table]\naxes = 'xy'\nreading_noise_arcsec = [{READING}]\n"
-    (tmp_path / "frames.toml").write_text(f"{HEAD}series_table = 'poses.csv'\n{table}")
-    return tmp_path
+    (folder / "frames.toml").write_text(f"{HEAD}series_table = 'poses.csv'\n{table}")
+    return folder
 
 
 def test_camera_star_and_star_vectors_are_what_was_put_in(poses):
@@ -85,8 +88,9 @@ def test_camera_star_and_star_vectors_are_what_was_put_in(poses):
         (",evaluation", ",calibration", reduce_vectors, "no series has use = 'evaluation'"),
     ],
 )
-def test_poses_that_are_wrong_are_one_line(before, after, reduce, said, poses):
-    for path in (poses / "frames.toml", poses / "poses.csv"):
+def test_poses_that_are_wrong_are_one_line(before, after, reduce, said, poses, tmp_path):
+    shutil.copytree(poses, tmp_path, dirs_exist_ok=True)
+    for path in (tmp_path / "frames.toml", tmp_path / "poses.csv"):
         path.write_text(path.read_text().replace(before, after))
     with pytest.raises(ConfigError, match=said):
-        reduce(read_folder(poses, window_px=11, layout=POSES), ("gaussian",), FisherConfig())
+        reduce(read_folder(tmp_path, window_px=11, layout=POSES), ("gaussian",), FisherConfig())

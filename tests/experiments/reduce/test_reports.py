@@ -41,13 +41,6 @@ def series(letter, extra=""):
     return f"[[series]]\nfiles = ['{letter}*.fits']\n{extra}\n"
 
 
-TEXTS = {
-    "temporal": "points = 16\n" + series("a"),
-    "hsfe": "points = 16\n" + "".join(series(s, f"shift_px = [{0.2 * n}, 0.0]") for n, s in enumerate("abc")),
-    "distortion": f"points_px = {[list(p) for p in PLACES]}\n" + series("a", "session = 'earlier'") + series("b"),
-}
-
-
 def reported(out):
     """Results of a report on the folder's frames."""
     results = json.loads((out / "summary.json").read_text(encoding="utf-8"))["results"]
@@ -58,38 +51,38 @@ def reported(out):
 
 
 def test_one_command_for_all_methods(folder, capsys, tmp_path, engine):
-    (folder / "frames.toml").write_text(HEAD + TEXTS["temporal"])
+    (folder / "frames.toml").write_text(HEAD + "points = 16\n" + series("a"))
     words = ["--frames", str(folder), "--out", str(tmp_path)]
     assert reduce_command(["--method", "temporal", *words, "--force"]) == 0
     reported(tmp_path)
     assert set(METHODS) == {path.parent.name for path in ROOT.glob("experiments/*/own_frames.py")}
 
 
-@pytest.mark.parametrize("name", ["hsfe", "distortion"])
-def test_a_folder_becomes_a_report(name, folder, capsys, tmp_path, engine):
-    more = ("--set", "order=2") if name == "distortion" else ()  # four rows do not test a cubic
-    status, text = run(name, folder, TEXTS[name], capsys, *more, out=tmp_path / "out")
-    assert status == 0, text
-    results = reported(tmp_path / "out")
-    if name == "hsfe":  # 48 differences of means of 4 x 16 centroids of some 0.05 px
-        shifts = [shift["x"] for shift in results["positions"]["measured_px"]["value"]]
-        np.testing.assert_allclose(shifts, [0.0, 0.2, 0.4], atol=0.05)
-    if name == "distortion":
-        assert set(results["grid"]["sigma_d_arcsec"]["value"]["cog"]) == {"nominal", "aligned", "calibrated"}
+def test_steps_of_a_folder_become_a_report(folder, capsys, tmp_path, engine):
+    """48 differences of means of 4 x 16 centroids of some 0.05 px."""
+    text = "points = 16\n" + "".join(series(s, f"shift_px = [{0.2 * n}, 0.0]") for n, s in enumerate("abc"))
+    status, said = run("hsfe", folder, text, capsys, out=tmp_path / "out")
+    assert status == 0, said
+    shifts = [shift["x"] for shift in reported(tmp_path / "out")["positions"]["measured_px"]["value"]]
+    np.testing.assert_allclose(shifts, [0.0, 0.2, 0.4], atol=0.05)
 
 
 def test_a_known_polynomial_is_found_and_removed(capsys, tmp_path, engine):
-    """Points of a target are displaced by a polynomial of order 2: found is its own scatter, left is noise."""
+    """Points of a target are displaced by a polynomial of order 2: found is its own scatter, left is noise.
+
+    The second session is calibrated by the first.
+    """
     folder, rng, frames = tmp_path / "grid", np.random.default_rng(8), 6
     folder.mkdir()
     u, v = (np.array(PLACES).T - 69.5) / 70.0
     moved = np.column_stack([0.8 * u**2 + 0.5 * u * v, 0.6 * v**2 - 0.7 * u])
-    for number in range(frames):
-        frame(folder / f"a{number}.fits", rng, places=np.array(PLACES) + moved)
-    text = f"points_px = {[list(p) for p in PLACES]}\n" + series("a")
+    for name in (f"{session}{number}.fits" for session in "ab" for number in range(frames)):
+        frame(folder / name, rng, places=np.array(PLACES) + moved)
+    text = f"points_px = {[list(p) for p in PLACES]}\n" + series("a", "session = 'earlier'") + series("b")
     status, said = run("distortion", folder, text, capsys, "--set", "order=2", out=tmp_path / "out")
     assert status == 0, said
-    grid = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))["results"]["grid"]
+    grid = reported(tmp_path / "out")["grid"]
+    assert set(grid["sigma_d_arcsec"]["value"]["cog"]) == {"nominal", "aligned", "calibrated"}
     sigma = {name: grid[f"sigma_{name}_arcsec"]["value"]["gaussian"]["nominal"] for name in ("d", "c1", "dd")}
     noise = 3.0 * 5.5 * 0.025 / np.sqrt(frames)  # some 0.02 px a frame, and the fit's own error within a pixel
     for axis, injected in zip("xy", 3.0 * 5.5 * moved.std(axis=0, ddof=1), strict=True):
