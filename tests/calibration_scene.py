@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib import BrownConrady, Observations, SensorGeometry, calibrate
+from calib import AttitudeCorrelated, BrownConrady, FreeAttitudes, NoAttitude, Observations, SensorGeometry, calibrate
+from calib.calibration.gyro_linked import GyroLinked, GyroNoise
 
 GEOMETRY = SensorGeometry(width_px=1024, height_px=1024, pixel_pitch_mm=0.01)
 DISTORTION = {"q1_per_mm2": 2e-4, "q2_per_mm4": -4e-7, "q3_per_mm6": 1e-8, "p1_per_mm": 2e-4, "p2_per_mm": 2e-4}
@@ -14,6 +15,7 @@ START = BrownConrady.create(GEOMETRY, focal_length_mm=20.0)  # start values of A
 NARROW = BrownConrady.create(GEOMETRY, focal_length_mm=83.0, x0_px=10.0, y0_px=-10.0)  # 7 deg
 PHI_DEG = (56.9476, -1.0046, -25.3335)
 THETA_DEG = (2.0, 2.0, 2.0)
+GYRO_NOISE = GyroNoise.from_data_sheet(angle_random_walk_deg_per_sqrt_h=0.005, bias_deg_per_h=0.03)
 
 
 def document_matrix(angles_deg):
@@ -48,6 +50,17 @@ class Scene:
     def calibrated(self, family, *, stars=None, start=START, **options):
         """Calibration of the observations, or of other stars, from the start values of ACF17."""
         return calibrate(self.observations if stars is None else stars, start, family, **options)
+
+    def family(self, method, noise=GYRO_NOISE):
+        """A family that knows nothing of attitudes and installation."""
+        time = np.arange(float(len(self.gyro)))
+        return {
+            "free": FreeAttitudes(),
+            "acc": AttitudeCorrelated(gyro_rotation=self.gyro),
+            "linked": GyroLinked(gyro_rotation=self.gyro, time_s=time, noise=noise),
+            "angles": NoAttitude(),
+            "weighted angles": NoAttitude(weighting="full"),
+        }[method]
 
     def noisy(self, rng, sigma_px=0.05):
         """The same stars measured once more."""

@@ -20,14 +20,10 @@ PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_relative_links_lead_to_files(page):
+def test_relative_links_lead_to_files_and_named_scripts_are_there(page):
     targets = re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text(encoding="utf-8"))
     missing = [target for target in targets if not (page.parent / target).exists()]
     assert not missing
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_scripts_and_tests_that_a_page_names_are_there(page):
     named = re.findall(r"\b(?:tests|benchmarks)/[\w/]+\.py", page.read_text(encoding="utf-8"))
     assert [path for path in named if not (ROOT / path).exists()] == []
 
@@ -146,17 +142,14 @@ def test_the_library_page_predicts_a_sensor_of_its_file(capsys, monkeypatch):
     assert median == pytest.approx(names["prediction"].value("attitude_cross_arcsec"), rel=0.01)
 
 
-def test_the_best_focus_of_the_library_page_is_one(capsys):
-    names = run_block("best_focus_shift_mm")
-    assert names["defocus_mm"] == pytest.approx(0.01, abs=0.02)
-
-
-def test_the_triad_of_the_library_page_is_a_quarter_turn(capsys):
+def test_the_triad_of_the_library_page_is_a_quarter_turn_and_its_focus_the_best(capsys):
     """By hand: about +X by -90 deg; the first direction gives x and z, the second y, each by its own noise."""
     names = run_block("triad", np=np)
     assert capsys.readouterr().out
     np.testing.assert_allclose(names["attitude"].rotation.as_rotvec(degrees=True), [-90.0, 0.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(names["attitude"].covariance_rad2, np.eye(3) * (2e-5) ** 2, atol=1e-16)
+    names = run_block("best_focus_shift_mm")
+    assert names["defocus_mm"] == pytest.approx(0.01, abs=0.02)
 
 
 def test_the_metrics_of_the_library_page_are_those_of_its_series(capsys):

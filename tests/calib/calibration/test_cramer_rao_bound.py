@@ -7,8 +7,8 @@ import pytest
 from calibration_scene import CAMERA, START, assert_same_covariance, make_scene
 from scipy.spatial.transform import Rotation
 
-from calib import AttitudeCorrelated, FreeAttitudes, NoAttitude, Observations, TurntableAttitudes, bound, calibrate
-from calib.calibration.gyro_linked import GyroLinked, GyroNoise
+from calib import Observations, TurntableAttitudes, bound, calibrate
+from calib.calibration.gyro_linked import GyroNoise
 
 NOISE = GyroNoise.from_data_sheet(angle_random_walk_deg_per_sqrt_h=0.05, bias_deg_per_h=1.0)
 
@@ -18,21 +18,9 @@ def scene():
     return make_scene(frames=10, stars=6, sigma_px=0.0)
 
 
-def blind(method, scene, noise=NOISE):
-    """A family that knows nothing of attitudes and installation."""
-    time = np.arange(float(len(scene.gyro)))
-    return {
-        "free": FreeAttitudes(),
-        "acc": AttitudeCorrelated(gyro_rotation=scene.gyro),
-        "linked": GyroLinked(gyro_rotation=scene.gyro, time_s=time, noise=noise),
-        "full": NoAttitude(weighting="full"),
-        "none": NoAttitude(),
-    }[method]
-
-
-def true(method, scene, noise=NOISE):
-    """The same family at the truth."""
-    family = blind(method, scene, noise)
+def true(method, scene):
+    """The family at the truth."""
+    family = scene.family(method, NOISE)
     if method == "free":
         return replace(family, attitude=scene.attitude)
     if method in ("acc", "linked"):
@@ -40,11 +28,11 @@ def true(method, scene, noise=NOISE):
     return family
 
 
-@pytest.mark.parametrize("method", ["free", "acc", "linked", "full", "none"])
+@pytest.mark.parametrize("method", ["free", "acc", "linked", "weighted angles", "angles"])
 def test_estimators_on_exact_data_state_the_bound(scene, method):
     """No noise in the data, the noise stated: each estimator's covariance is its bound."""
     limit = bound(scene.observations, CAMERA, true(method, scene))
-    found = scene.calibrated(blind(method, scene))
+    found = scene.calibrated(scene.family(method, NOISE))
     assert limit.names == found.solution.names
     np.testing.assert_allclose(limit.sigma, found.solution.sigma, rtol=1e-4)
     assert limit.condition == pytest.approx(found.solution.condition, rel=1e-3)
@@ -83,7 +71,7 @@ def test_turntable_bound():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["free", "none"])
+@pytest.mark.parametrize("method", ["free", "angles"])
 def test_estimators_reach_their_bound(method):
     """100 realisations of sparse noisy frames, from the document's start: scatter over bound within 5 sigma of 1."""
     scene = make_scene(frames=15, stars=5, sigma_px=0.0)
@@ -91,7 +79,7 @@ def test_estimators_reach_their_bound(method):
     template = scene.noisy(np.random.default_rng(0), 0.2)
     limit = bound(template, CAMERA, true(method, scene))
     for _ in range(100):
-        found = calibrate(scene.noisy(rng, 0.2), START, blind(method, scene))
+        found = calibrate(scene.noisy(rng, 0.2), START, scene.family(method, NOISE))
         assert found.converged
         errors.append(found.solution.value - scene.truth[: len(limit.names)])
     ratio = np.std(errors, axis=0) / limit.sigma

@@ -108,7 +108,6 @@ def bad_files(folder, counts):
     (folder / "sum.fits").write_bytes(content)
     (folder / "cut.fits").write_bytes(content[:4000])
     fits.PrimaryHDU().writeto(folder / "none.fits")
-    fits.PrimaryHDU(np.zeros(100, np.float32)).writeto(folder / "line.fits")
     table = fits.BinTableHDU.from_columns([fits.Column(name="a", format="E", array=np.ones(3))])
     fits.HDUList([fits.PrimaryHDU(), table]).writeto(folder / "table.fits")
     return {
@@ -123,7 +122,6 @@ def bad_files(folder, counts):
         "sum.fits": "verification failed",
         "cut.fits": "cut.fits",
         "none.fits": "holds no image",
-        "line.fits": "holds no image",
         "table.fits": "holds no image",
     }
 
