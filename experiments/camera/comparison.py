@@ -247,7 +247,6 @@ FRAMES = Section(
     record=FrameComparison,
     dim="comparison",
     axes=_comparisons,
-    table="frames",
     hidden="comparison",
     rows="comparison",
     columns="label measured predicted unit error n deviation_sigma",

@@ -266,25 +266,22 @@ SECTIONS: Mapping[str, Section] = {
     "setup": Section(record=SensorSummary, figures={"lens": draw_section, "spots": spots_over_field}),
     "requirements": REQUIREMENTS,
     "optics": Section(
-        record=Optics, table="optics", vertical=True, caption="Lens and detector, as configured."
+        record=Optics, vertical=True, caption="Lens and detector, as configured."
     ),
     "accuracy": Section(
         record=StarAccuracy,
-        table="accuracy",
         vertical=True,
         caption="The star of [star], one axis, one standard deviation, mean over the detector.",
     ),
-    "sky": Section(record=SkyPerformance, table="sky", vertical=True, caption="Detection, and the real sky (1σ)."),
+    "sky": Section(record=SkyPerformance, vertical=True, caption="Detection, and the real sky (1σ)."),
     "fields": Section(
         record=Fields,
         axes=field_axes,
-        table="fields",
         caption="Over the field; spot and focus of all light of the pass band.",
     ),
     "magnitudes": Section(
         record=Magnitudes,
         axes=magnitude_axes,
-        table="magnitudes",
         caption="Against magnitude, mean over the detector, one axis, one standard deviation.",
         figures={
             "magnitude_accuracy": curves(

@@ -147,7 +147,6 @@ def fraction_measured(successes: int, count: int) -> Measured:
 COVERAGE = Section(
     record=Coverage,
     axes=_guide_count_axis,
-    table="coverage",
     rows="least",
     columns="sky_percent",
     caption="Fraction of the sky with at least this number of guide stars in the field.",

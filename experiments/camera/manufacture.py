@@ -239,7 +239,6 @@ def _axes(q: Quantities, result: Manufactured) -> None:
 MANUFACTURED = Section(
     record=Manufactured,
     axes=_axes,
-    table="manufactured",
     rows="built",
     across="percentile",
     columns="nominal_arcsec error_arcsec",
@@ -249,7 +248,6 @@ MANUFACTURED = Section(
 RENDERED_LENSES = Section(
     record=RenderedLens,
     dim="drawn",
-    table="rendered_lenses",
     rows="drawn",
     hidden="drawn",
     caption="Three manufactured lenses in rendered frames: NEA of the chart's stars, one axis, 1σ.",

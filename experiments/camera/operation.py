@@ -165,7 +165,6 @@ def _rate_axis(q: Quantities, motion: SlewPrediction) -> None:
 MOTION = Section(
     record=SlewPrediction,
     axes=_rate_axis,
-    table="motion",
     columns="trail_px nea_arcsec limiting_magnitude_mag stars_mean_per_frame attitude_cross_arcsec",
     caption="Performance against slew rate across the line of sight.",
     figures={
@@ -255,7 +254,6 @@ def _age_axis(q: Quantities, life: LifePrediction) -> None:
 LIFE = Section(
     record=LifePrediction,
     axes=_age_axis,
-    table="life",
     caption="Performance from beginning to end of life.",
     figures={
         "life": curves(

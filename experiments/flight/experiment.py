@@ -408,7 +408,6 @@ def run(config: FlightConfig, *, progress: Progress) -> dict[str, Any]:
 SECTIONS = {
     "mission": Section(
         record=Mission,
-        table="mission",
         vertical=True,
         caption="Sensor, guide catalogue, availability and acquisition.",
         verdicts=[
@@ -420,7 +419,6 @@ SECTIONS = {
         record=AttitudeTerm,
         dim="term",
         axes=_term_axis,
-        table="terms",
         rows="term component",
         columns="measured_arcsec predicted_arcsec ratio slope",
         caption="Attitude error by terms, RMS over the flight, one standard deviation; across: about one axis.",
@@ -432,7 +430,6 @@ SECTIONS = {
     "metrics": Section(
         record=Metric,
         dim="metric_row",
-        table="metrics",
         hidden="metric_row",
         rows="metric_row component",
         caption="Metrics at a confidence level of 95 %.",
@@ -442,7 +439,6 @@ SECTIONS = {
         record=OrbitSample,
         dim="moment",
         along="time_min",
-        table="history",
         caption="Geometry and temperature over the orbit.",
         figures={
             "angles": curves("moment", lines="sun_deg earth_deg moon_deg", y="Angle from the boresight"),
@@ -453,7 +449,6 @@ SECTIONS = {
         record=SegmentErrors,
         dim="segment",
         along="time_min",
-        table="segments",
         rows="segment",
         columns="stars status thermo_elastic_arcsec aberration_arcsec error_arcsec",
         across="axis",
@@ -472,7 +467,6 @@ SECTIONS = {
     "ageing": Section(
         record=AgePrediction,
         dim="life",
-        table="ageing",
         rows="life",
         hidden="life",
         across="component",
@@ -482,7 +476,6 @@ SECTIONS = {
         record=RatePrediction,
         dim="rate",
         along="rate_deg_per_s",
-        table="rates",
         across="component",
         caption="Prediction for the same stars while the body turns across the line of sight.",
         note="No number: the trail is too long for the window.",
@@ -490,7 +483,6 @@ SECTIONS = {
     "thermal_sensitivity": Section(
         record=StateSensitivity,
         dim="state_row",
-        table="thermal_sensitivity",
         rows="state_row",
         hidden="state_row",
         across="component",

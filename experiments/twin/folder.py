@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import stat
 from collections import Counter
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -86,15 +85,11 @@ def _files(folder: Path) -> tuple[list[Path], list[str]]:
         suffix = Path(path.stem).suffix if path.suffix.lower() in PACKED else path.suffix
         if suffix.lower() not in SUFFIXES:
             continue
-        try:
-            regular = stat.S_ISREG(path.stat().st_mode)
-        except OSError:
-            notes.append(f"left out: {path.name} is a link to nothing that can be read")
-            continue
-        if regular:
+        if os.path.isfile(path):
             paths.append(path)
         else:
-            notes.append(f"left out: {path.name} is no file")
+            reason = "a link to nothing that can be read" if path.is_symlink() else "no file"
+            notes.append(f"left out: {path.name} is {reason}")
     if len(paths) > MOST_FRAMES:
         raise ConfigError(f"--frames {folder}: {len(paths)} frames; at most {MOST_FRAMES} are taken at once")
     return paths, notes

@@ -19,6 +19,7 @@ from astropy.table import Table
 from lens_texts import ZMX_DOUBLET
 from PIL import Image
 from pydantic import ValidationError
+from small_sensors import RAYS, sensor
 from target_frames import HEAD, readout, spots, write
 
 from experiments.budget.settings import BudgetConfig
@@ -71,6 +72,7 @@ from experiments.twin.settings import TwinConfig
 from optics.errors import BackendError, ConfigError, DomainError, StarbenchError
 from optics.glass.absolute_index import Environment
 from optics.lens_file import lens_path
+from optics.settings import flat
 from render.sensor_file.file import read_sensor
 from render.sensor_file.instrument import build_instrument
 
@@ -590,11 +592,7 @@ HARNESS = [
 # --- Camera: predictions and sweeps
 
 
-TRACKER = {
-    "instrument.lens": "star_tracker_26mm", "instrument.detector": "cmv4000", "instrument.width_px": 800,
-    "instrument.height_px": 800, "instrument.exposure_s": 0.2, "instrument.defocus_mm": 0.0,
-    "instrument.diffraction": "rays", "passband.range_nm": [500.0, 800.0], "sky.attitudes": 20,
-}  # fmt: skip
+TRACKER = flat({**sensor(**RAYS), "sky": {"attitudes": 20}})
 
 
 def camera(predict: bool = False, **changes: Any) -> Call:

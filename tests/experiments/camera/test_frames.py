@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from small_sensors import ideal_lens, sensor
 
 from experiments.camera.comparison import FEWEST_STARS, compare, compared, solved_frames
 from experiments.camera.frames import render_frames, rendered_lenses
@@ -14,11 +15,9 @@ from experiments.laboratory.sensor_prediction import predict_camera
 
 @pytest.fixture(scope="module")
 def prediction():
-    lens = {"kind": "ideal", "focal_length_mm": 12.0, "f_number": 1.6, "spot_um": 5.0}
-    chip = {"detector": "cmv4000", "width_px": 320, "height_px": 320, "exposure_s": 0.2, "diffraction": "rays"}
     return predict_camera(
         CameraReportConfig(
-            instrument={"lens": lens, **chip},
+            **sensor(320, ideal_lens(12.0, 1.6, 5.0), diffraction="rays"),
             window_px=9,
             centroid="windowed",
             dark_frames=4,

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+from small_sensors import ideal_lens, sensor
 
 from experiments.camera.guides import GUIDE_COUNTS, coverage, fraction_measured, lost_in_space
 from experiments.camera.settings import CameraReportConfig
@@ -11,15 +12,7 @@ from optics.validate import parse_model
 from render.catalogue.temperature import star_temperature
 from render.sensor_file.catalogue import load_catalogue
 
-TRACKER = {
-    "instrument": {
-        "lens": {"kind": "ideal", "focal_length_mm": 25.0, "f_number": 2.0, "spot_um": 4.0},
-        "detector": "cmv4000", "width_px": 800, "height_px": 800, "exposure_s": 0.2,
-    },
-    "passband": {"range_nm": [500.0, 800.0]},
-    "sky": {"attitudes": 60},
-    "lost": {"attitudes": 10},
-}  # fmt: skip
+TRACKER = {**sensor(lens=ideal_lens()), "sky": {"attitudes": 60}, "lost": {"attitudes": 10}}
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +48,5 @@ def test_lost_in_space_identification_and_a_field_that_is_too_narrow(tracker):
     assert found.lost_success_percent >= 90.0
     assert found.wrong_percent == 0.0
     assert fraction_measured(0, 10).uncertainty == pytest.approx(0.1)
-    narrow = {"width_px": 100, "height_px": 100}
-    small = parse_model(CameraReportConfig, {**TRACKER, "instrument": {**TRACKER["instrument"], **narrow}}, "test")
+    small = parse_model(CameraReportConfig, TRACKER | sensor(100, ideal_lens()), "test")
     assert "too narrow" in lost_in_space(predict_camera(small)).refusal

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from small_sensors import ideal_lens, sensor
 
 from experiments.camera.answer import limits
 from experiments.camera.operation import in_motion, life_line, over_life
@@ -12,32 +13,30 @@ from experiments.laboratory.settings.prediction import aged_config
 from optics.validate import parse_model
 
 IDEAL = {
-    "instrument": {
-        "lens": {"kind": "ideal", "focal_length_mm": 25.0, "f_number": 2.0, "spot_um": 4.0},
-        "detector": "cmv4000", "width_px": 800, "height_px": 800, "exposure_s": 0.2,
-    },
-    "passband": {"range_nm": [500.0, 800.0]},
+    **sensor(lens=ideal_lens()),
     "sky": {"attitudes": 40},
     "timing": {"readout_s": 0.05, "processing_s": 0.25},
-}  # fmt: skip
+}
 LIFE = {"years": 8.0, "darkened_glass": 0.2, "contamination": 0.1, "ionising_dark_e_per_s": 60.0}
 
 
-def sensor(**tables):
+def predicted(**tables):
     return predict_camera(parse_model(CameraReportConfig, {**IDEAL, **tables}, "test"))
 
 
 def test_the_slowest_step_sets_the_update_rate_and_all_of_them_the_age_of_an_attitude():
-    overlapped = sensor()
+    overlapped = predicted()
     assert overlapped.value("update_rate_hz") == pytest.approx(4.0)
     assert overlapped.value("latency_s") == pytest.approx(0.1 + 0.05 + 0.25)
-    sequential = sensor(timing={**IDEAL["timing"], "overlapped": False})
+    sequential = predicted(timing={**IDEAL["timing"], "overlapped": False})
     assert sequential.value("update_rate_hz") == pytest.approx(2.0)
 
 
 @pytest.mark.slow
 def test_a_slew_to_where_the_first_requirement_is_missed():
-    prediction = sensor(requirements={"attitude_cross_arcsec": 0.4, "update_rate_hz": 1.0, "slew_rate_deg_per_s": 0.01})
+    prediction = predicted(
+        requirements={"attitude_cross_arcsec": 0.4, "update_rate_hz": 1.0, "slew_rate_deg_per_s": 0.01}
+    )
     found = in_motion(prediction, limits(prediction.config))
     assert found.first_failure == "attitude_cross_arcsec"
     for fraction, met in ((0.96, True), (1.04, False)):
@@ -52,7 +51,7 @@ def test_a_slew_to_where_the_first_requirement_is_missed():
 
 
 def test_a_star_leaves_its_window_first_where_nothing_is_required():
-    found = in_motion(sensor(motion={"points": 2}), {})
+    found = in_motion(predicted(motion={"points": 2}), {})
     assert found.first_failure == "window_px"
     assert found.slew_rate_deg_per_s == pytest.approx(found.rate_deg_per_s[-1])
     assert found.trail_px[-1] < 13.0
@@ -60,8 +59,8 @@ def test_a_star_leaves_its_window_first_where_nothing_is_required():
 
 @pytest.mark.slow
 def test_age_at_which_the_first_requirement_is_missed():
-    new = sensor(life=LIFE).value("limiting_magnitude_mag")
-    prediction = sensor(life=LIFE, requirements={"limiting_magnitude_mag": new - 0.2, "nea_arcsec": 100.0})
+    new = predicted(life=LIFE).value("limiting_magnitude_mag")
+    prediction = predicted(life=LIFE, requirements={"limiting_magnitude_mag": new - 0.2, "nea_arcsec": 100.0})
     required = limits(prediction.config)
     found = over_life(prediction, required)
     assert (found.requirements_missed_at_end, found.requirements_at_end, found.first_failure) == (
@@ -80,7 +79,7 @@ def test_age_at_which_the_first_requirement_is_missed():
 
 def test_darkened_glass_costs_limiting_magnitude():
     """The electrons of the faintest star follow from the noise of a dark pixel, which transmission does not change."""
-    found = over_life(sensor(life={"years": 5.0, "darkened_glass": 0.28}), {})
+    found = over_life(predicted(life={"years": 5.0, "darkened_glass": 0.28}), {})
     loss_mag = found.limiting_magnitude_mag[0] - found.limiting_magnitude_mag[-1]
     assert loss_mag == pytest.approx(-2.5 * np.log10(0.72), abs=0.02)
 
@@ -89,12 +88,12 @@ def test_displacement_damage_adds_its_mean_dark_current():
     """K V D of Srour & Lo, whatever the number of centres: 0.19 e-/s per um^3 and TeV/g at 300 K after a week."""
     dose = {"years": 1.0, "displacement_dose_tev_per_g": 100.0, "depleted_volume_um3": 60.0}
     warm = {**IDEAL["instrument"], "chip_temperature_c": 26.85}
-    found = over_life(sensor(life=dose, instrument=warm), {})
+    found = over_life(predicted(life=dose, instrument=warm), {})
     growth = (found.dark_e[-1] - found.dark_e[0]) / 0.2
     assert growth == pytest.approx(0.19 * 60.0 * 100.0, rel=0.02)
     assert found.damaged_percent[-1] == pytest.approx(100.0 * (1.0 - np.exp(-0.0971794 / 4100.0 * 6000.0)), rel=1e-4)
 
 
 def test_no_life_and_no_motion_without_settings():
-    assert over_life(sensor(), {}) is None
-    assert in_motion(sensor(motion={"points": 0}), {}) is None
+    assert over_life(predicted(), {}) is None
+    assert in_motion(predicted(motion={"points": 0}), {}) is None

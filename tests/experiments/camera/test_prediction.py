@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from small_sensors import RAYS, sensor
 
 from experiments.camera.answer import ThermalRange, answer_lines, limits, swings
 from experiments.camera.experiment import predicted
@@ -15,14 +16,7 @@ from experiments.harness.what_if import judge, missed_words
 from experiments.laboratory.sensor_prediction import accuracy, predict_camera
 from render.sensor_file.requirements import RequirementsConfig
 
-TRACKER = {
-    "instrument": {
-        "lens": "star_tracker_26mm", "detector": "cmv4000", "width_px": 1024, "height_px": 1024, "exposure_s": 0.2,
-        "defocus_mm": 0.0, "diffraction": "rays",
-    },
-    "passband": {"range_nm": [500.0, 800.0]},
-    "sky": {"attitudes": 120},
-}  # fmt: skip
+TRACKER = {**sensor(1024, **RAYS), "sky": {"attitudes": 120}}
 
 
 @pytest.fixture(scope="module")

@@ -3,21 +3,19 @@
 from dataclasses import replace
 
 import pytest
+from small_sensors import ideal_lens, sensor
 
 from experiments.camera.experiment import SECTIONS
 from experiments.camera.run import run
 from experiments.camera.settings import CameraReportConfig, experiment
 from experiments.harness.progress import Progress
 
-LENS = {"kind": "ideal", "focal_length_mm": 12.0, "f_number": 1.6, "spot_um": 5.0}
-CHIP = {"detector": "cmv4000", "width_px": 320, "height_px": 320, "exposure_s": 0.2, "diffraction": "rays"}
-
 
 @pytest.fixture(scope="module")
 def quiet_run():
     """Configuration, sections and printed lines."""
     config = CameraReportConfig(
-        instrument={"lens": LENS, **CHIP},
+        **sensor(320, ideal_lens(12.0, 1.6, 5.0), diffraction="rays"),
         predict_only=True,
         window_px=9,
         centroid="windowed",

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from astropy.table import Table
+from small_sensors import sensor
 
 from experiments.camera.settings import CameraReportConfig, experiment, main
 from experiments.harness.progress import Progress
@@ -12,14 +13,7 @@ from experiments.harness.range import quantity_of
 from experiments.harness.what_if import _finer, crossing, run_sweep
 from optics.validate import parse_model
 
-TRACKER = {
-    "instrument": {
-        "lens": "star_tracker_26mm", "detector": "cmv4000", "width_px": 800, "height_px": 800, "exposure_s": 0.2,
-        "defocus_mm": 0.0,
-    },
-    "passband": {"range_nm": [500.0, 800.0]},
-    "sky": {"attitudes": 40},
-}  # fmt: skip
+TRACKER = {**sensor(defocus_mm=0.0), "sky": {"attitudes": 40}}
 STILL = {"dark_current_e_per_s": 0.0, "dark_spread_e_per_s": 0.0, "hot_fraction": 0.0}
 
 

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from small_sensors import RAYS, sensor
 
 from experiments.flight import experiment
 from experiments.flight.frames import FlightCamera, build_tracker
@@ -16,14 +17,7 @@ from experiments.harness.progress import Progress
 from optics.attitude import attitude_error_arcsec
 from render.motion.trajectory import SampledAttitude
 
-SMALL = {
-    "instrument": {
-        "lens": "star_tracker_26mm", "detector": "cmv4000", "width_px": 1024, "height_px": 1024, "exposure_s": 0.2,
-        "defocus_mm": 0.0, "diffraction": "rays",
-    },
-    "passband": {"range_nm": [500.0, 800.0]},
-    "dark_frames": 6,
-}  # fmt: skip
+SMALL = {**sensor(1024, **RAYS), "dark_frames": 6}
 
 
 IDEAL = {"kind": "ideal", "focal_length_mm": 26.0, "f_number": 2.0, "psf_fwhm_px": 1.8, "max_field_deg": 15.0}

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from small_sensors import RAYS, sensor
 
 from calib.attitude.attitude_covariance import attitude_of_shifts
 from calib.attitude.attitude_solution import solve_wahba
@@ -25,10 +26,8 @@ GROWTH = 2e-4
 @pytest.fixture(scope="module")
 def budget():
     """A small aged tracker with many hot pixels and a uniform growth of the image as its thermal sensitivity."""
-    chip = {"lens": "star_tracker_26mm", "detector": "cmv4000", "width_px": 700, "height_px": 700, "exposure_s": 0.2}
     config = FlightConfig(
-        instrument={**chip, "defocus_mm": 0.0, "diffraction": "rays"},
-        passband={"range_nm": [500.0, 800.0]},
+        **sensor(700, **RAYS),
         detector={"hot_fraction": 2e-3},
         window_px=WINDOW,
         temperature={"offset_k": 0, "mean_k": 0, "eclipse_k": 0},
