@@ -51,7 +51,9 @@ class TemporalPrediction:
     sampled_px: Mapping[str, FloatArray]  # (l, j, 2) By noise drawn on noiseless windows
     draws: int  # Draws per window behind ``sampled_px``
     device_px: Mapping[str, FloatArray]  # (l, j, 2) Scatter of the standard deviation from chip to chip
-    common_px: Mapping[str, FloatArray]  # (l, j, 2) Part of the line of sight, times the slope of the S-curve plus one
+    common_px: Mapping[
+        str, FloatArray
+    ]  # (l, j, 2) Motion of the line of sight as the centroid follows it (`followed_px`)
     bound_px: FloatArray  # (l, j, 2) Cramer-Rao bound
     frames: int  # N
 

@@ -33,8 +33,8 @@ class Bench:
 
     target: TargetConfig  # Point target
     lamp: Sed  # Spectrum of the source
-    filters: Sequence[Filter]  # Filters, b of them; ``reference`` indexes the one the others are compared with
-    reference: int  # The 600 nm filter of ACC18
+    filters: Sequence[Filter]  # b filters
+    reference: int  # Index of the filter with which the others are compared (ACC18: 600 nm)
     signal_e: float  # Electrons per point and frame, the same behind every filter (lamp current adjusted)
     frames: int  # Exposures per position and filter; exposures with the lamp off, once per position
     dark_frames: int
@@ -42,7 +42,7 @@ class Bench:
     methods: Sequence[str]  # Centroiders, the main one first
     epsf: EffectivePsf | None = None  # Built from frames before the test, for methods ``NAME_measured``
     sessions: Sequence[EffectivePsf] = ()  # For predictions: that PSF from each of several drawn sets of frames
-    collimator: Collimator | None = None  # With its errors; a perfect one if left out
+    collimator: Collimator | None = None  # With errors; None: perfect
 
     @property
     def pairs(self) -> list[tuple[str, int, int]]:
