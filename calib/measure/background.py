@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.ndimage import median_filter
@@ -22,8 +23,12 @@ _FIRST_STEP, _FIRST_BOX = 2, 32
 _SORTED_PIXELS = 2**17
 """Pixels that are sorted at a time."""
 
-SLOPE_FRACTION, LEAST_FRACTION = 0.15, 0.2
-"""Of the noise of a cell: smallest slope that is subtracted, smallest noise that remains."""
+SLOPE_FRACTION = 0.15
+"""Smallest variation of the level within a cell that is subtracted, as a fraction of its noise."""
+
+
+OVERSHOOT = 0.1
+"""Part of the difference of neighbouring cells by which the level between them may exceed both."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,12 +45,18 @@ class Background:
         freeze_all(self, level_e=("a", "b"), sigma_e=("a", "b"), centre_x_px=("b",), centre_y_px=("a",))
 
     def _at(self, mesh: FloatArray, x_px: NDArray[Any], y_px: NDArray[Any]) -> FloatArray:
-        """Values (n,) of a mesh: a cubic spline between the cells, constant beyond the outermost centres."""
-        return np.asarray(np.sum((_weights(self.centre_y_px, y_px) @ mesh) * _weights(self.centre_x_px, x_px), axis=1))
+        """Values (n,) of a mesh: a cubic spline between the cells, straight beyond the outermost centres."""
+        values = np.sum((_weights(self.centre_y_px, y_px) @ mesh) * _weights(self.centre_x_px, x_px), axis=1)
+        low, high = _bounds(mesh)
+        at = (_interval(self.centre_y_px, y_px), _interval(self.centre_x_px, x_px))
+        return np.clip(values, low[at], high[at])
 
     def _image(self, mesh: FloatArray) -> FloatArray:
-        across = _weights(self.centre_x_px, np.arange(self.shape[1]))
-        return np.asarray(_weights(self.centre_y_px, np.arange(self.shape[0])) @ mesh @ across.T)
+        row, column = (np.arange(size) for size in self.shape)
+        values = _weights(self.centre_y_px, row) @ mesh @ _weights(self.centre_x_px, column).T
+        low, high = _bounds(mesh)
+        at = np.ix_(_interval(self.centre_y_px, row), _interval(self.centre_x_px, column))
+        return np.clip(values, low[at], high[at], out=values)
 
     def level_at(self, x_px: FloatArray, y_px: FloatArray) -> FloatArray:
         """Background [e-] at columns ``x_px`` and rows ``y_px``, each (n,)."""
@@ -69,7 +80,39 @@ def _weights(centre: FloatArray, position: ArrayLike) -> FloatArray:
     if len(centre) == 1:
         return np.ones((np.size(position), 1))
     spline = make_interp_spline(centre, np.eye(len(centre)), k=min(3, len(centre) - 1))
-    return np.asarray(spline(np.clip(np.asarray(position, float), centre[0], centre[-1])))
+    position = np.asarray(position, float)
+    weights = spline(np.clip(position, centre[0], centre[-1]))
+    for end, inner, beyond in ((0, 1, position < centre[0]), (-1, -2, position > centre[-1])):
+        slope = (position[beyond] - centre[end]) / (centre[end] - centre[inner])
+        weights[beyond, end] += slope
+        weights[beyond, inner] -= slope
+    return np.asarray(weights)
+
+
+def _continued(mesh: FloatArray) -> FloatArray:
+    """A mesh (a, b) with another cell on every side (a + 2, b + 2), by point reflection; a single row is repeated."""
+    for axis in (0, 1):
+        width = [(0, 0), (0, 0)]
+        width[axis] = (1, 1)
+        if mesh.shape[axis] > 1:
+            mesh = np.pad(mesh, width, mode="reflect", reflect_type="odd")
+        else:
+            mesh = np.pad(mesh, width, mode="edge")
+    return mesh
+
+
+def _interval(centre: FloatArray, position: ArrayLike) -> NDArray[np.int64]:
+    """Intervals between cell centres that positions lie in: 0 before the first centre, a after the last of a."""
+    return np.asarray(np.searchsorted(centre, np.asarray(position, float)), np.int64)
+
+
+def _bounds(mesh: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Least and greatest value (a + 1, b + 1) in each interval: of the cells around it, with a margin of `OVERSHOOT` of
+    their difference, so that the spline does not oscillate beside a limb; free beyond the outermost centres."""
+    corners = sliding_window_view(_continued(mesh), (2, 2))
+    low, high = corners.min(axis=(2, 3)), corners.max(axis=(2, 3))
+    margin = OVERSHOOT * (high - low)
+    return low - margin, high + margin
 
 
 def estimate_background(
@@ -87,7 +130,8 @@ def estimate_background(
     (the expectation that the likelihood needs; whole DN quantise a median) or, in a crowded cell, 2.5 median - 1.5 mean
     (Bertin & Arnouts 1996, A&AS 117, 393, sec. 7.1). A second pass leaves out everything 3 sigma above the first, grown
     by two pixels. Cells without usable pixels take the median of the others, and a 3 x 3 median over the mesh removes
-    cells filled by a bright object. The variation of the level within a cell is subtracted from its noise.
+    cells filled by a bright object. Where the level varies within cells, level and noise are those of the image without
+    the level of the first mesh.
 
     Parameters
     ----------
@@ -139,19 +183,24 @@ def estimate_background(
     bright = electrons > first._image(first.level_e + 3.0 * first.sigma_e)
     # bright pixels next to another one; isolated noise peaks remain, or the noise would be underestimated
     sky = usable & ~grown(bright & _with_bright_neighbour(bright), 2)
-    return _without_slopes(_mesh(electrons, sky, box_px, clip_sigma, quantum)) if sky.any() else first
+    if not sky.any():
+        return first
+    background = _mesh(electrons, sky, box_px, clip_sigma, quantum)
+    if not _has_slopes(background) or np.median(background.sigma_e) < 2.0 * quantum:
+        return background
+    # the level varies within the cells (vignetting, twilight): noise and level of what remains without it
+    remaining = _mesh(electrons - background.level_image(), sky, box_px, clip_sigma, 0.0)
+    return replace(background, level_e=background.level_e + remaining.level_e, sigma_e=remaining.sigma_e)
 
 
-def _without_slopes(background: Background) -> Background:
-    """The noise without the variation of the level within a cell (vignetting, twilight)."""
+def _has_slopes(background: Background) -> bool:
+    """Whether the level varies within a cell by more than `SLOPE_FRACTION` of its noise (RMS of a slope)."""
     slope2 = np.zeros(background.level_e.shape)
     for axis, centre in enumerate((background.centre_y_px, background.centre_x_px)):
-        if len(centre) > 1:  # variance of a slope over the pixels of a cell
+        if len(centre) > 1:
             step = 2.0 * centre[0] + 1.0
             slope2 = slope2 + np.gradient(background.level_e, centre, axis=axis) ** 2 * (step**2 - 1.0) / 12.0
-    sigma = background.sigma_e
-    flat = np.sqrt(np.maximum(sigma**2 - slope2, (LEAST_FRACTION * sigma) ** 2))
-    return replace(background, sigma_e=np.where(slope2 > (SLOPE_FRACTION * sigma) ** 2, flat, sigma))
+    return bool(np.any(slope2 > (SLOPE_FRACTION * background.sigma_e) ** 2))
 
 
 def _thinned(
@@ -216,11 +265,8 @@ def _mesh(
     if empty.any():
         level[empty], sigma[empty] = np.nanmedian(level), np.nanmedian(sigma)
     if min(rows, columns) >= 3:
-        smooth, sigma = median_filter(level, 3), median_filter(sigma, 3)
-        # at the border the median of a slope is off by a cell; there only outliers are replaced
-        replaced = np.abs(level - smooth) > sigma
-        replaced[1:-1, 1:-1] = True
-        level = np.where(replaced, smooth, level)
+        # continued by point reflection, the median of a slope is the slope at the border too
+        level, sigma = median_filter(_continued(level), 3)[1:-1, 1:-1], median_filter(sigma, 3)
     centre_y = [0.5 * (i * step_y + min((i + 1) * step_y, height) - 1) for i in range(rows)]
     centre_x = [0.5 * (i * step_x + min((i + 1) * step_x, width) - 1) for i in range(columns)]
     mesh_px = {"centre_x_px": np.array(centre_x), "centre_y_px": np.array(centre_y)}

@@ -20,6 +20,7 @@ for any distribution of the pixels. The number of local maxima above it follows 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,6 +37,15 @@ STAR_Z, STAR_PX = 5.0, 4
 SKEWED, CUT_OFF = 0.03, 0.005
 """Curvature over scale, and fraction of pixels with the lowest number, above which noise is skewed."""
 FEWEST_PIXELS = 4000
+TILE_PX = 128
+"""Side of the tiles in which the noise is measured [px]."""
+FEWEST_QUIET, LEAST_QUIET = 400, 0.03
+"""Pixels of a tile, and fraction of it, without stars that a measurement needs."""
+NOISE_STEPS, NOISE_STEP, NOISE_CHANGE = 20, 1.3, 0.02
+"""Steps from white noise upwards; factor where too few pixels are without stars; relative change of the limit of a star
+that ends them."""
+CALM, CALM_FRACTION = 1.15, 0.25
+"""Tiles whose limit is so many times that of this quantile of all tiles, or less, tell the noise of the camera."""
 SPREAD = np.array([1.6, 1.0, 0.75])
 """RMS deviation of offset, scale and curvature from their values in white noise, times the root of the number of
 pixels, per px of FWHM (40 images each of 256 and 512 px, FWHM 1.2 to 4 px: at most 1.60, 0.98, 0.75)."""
@@ -104,17 +114,23 @@ def measure_noise(
     if np.count_nonzero(usable) < FEWEST_PIXELS:
         return FilteredNoise(correlation_x=white, correlation_y=white, pixels=pixels)
     step = max(1, round(0.8 * fwhm_px))
-    thin = (slice(None, None, step), slice(None, None, step))
     spread = SURE * SPREAD * fwhm_px / np.sqrt(pixels)
-    shape = _parabola(ratio[thin][usable[thin]], -CENTRE_Z, CENTRE_Z)
-    skewed = cut_off or shape[0] > max(SKEWED * shape[1], spread[2])
-    if skewed:
-        shape = _parabola(ratio[thin][usable[thin]], LOW_Z, FIRST_Z)
-    quiet = usable & ~grown(ratio > _limit(shape, STAR_Z), STAR_PX)
-    if np.count_nonzero(quiet) >= FEWEST_PIXELS:
-        low, high = (LOW_Z, HIGH_Z) if skewed else (-CENTRE_Z, CENTRE_Z)
-        shape = _parabola(ratio[thin][quiet[thin]], low, high)
-    curvature, scale, offset = shape if skewed else (0.0, *shape[1:])
+    tiles = _tiles(ratio.shape)
+    local = [_least_noise(ratio[tile], usable[tile], step, cut_off) for row in tiles for tile in row]
+    limits = np.array([float(_limit(shape, STAR_Z)) for shape, _ in local])
+    calm = limits <= CALM * np.nanquantile(limits, CALM_FRACTION)
+    quiet = np.zeros_like(usable)
+    for tile, (_, mask), is_calm in zip((tile for row in tiles for tile in row), local, calm, strict=True):
+        if is_calm:
+            quiet[tile] = mask
+    thin = (slice(None, None, step), slice(None, None, step))
+    remaining = ratio[thin][quiet[thin]]
+    if remaining.size < FEWEST_PIXELS // step**2:
+        return FilteredNoise(correlation_x=white, correlation_y=white, pixels=pixels)
+    curvature, scale, offset = _parabola(remaining, -CENTRE_Z, CENTRE_Z)
+    bent = np.median([shape[0] / shape[1] for (shape, _), is_calm in zip(local, calm, strict=True) if is_calm])
+    skewed = cut_off or (bent > SKEWED and curvature > max(SKEWED * scale, spread[2]))
+    curvature, scale, offset = _parabola(remaining, LOW_Z, HIGH_Z) if skewed else (0.0, scale, offset)
     if not skewed and scale < 1.0 + spread[1]:  # below white, as of pixels of unequal noise, counts as white
         scale, offset = 1.0, 0.0
     filtered = [
@@ -132,6 +148,36 @@ def measure_noise(
         pixel_correlation=(pair[0], pair[1]),
         pixels=pixels,
     )
+
+
+def _tiles(shape: tuple[int, ...]) -> list[list[tuple[slice, slice]]]:
+    """Tiles of some `TILE_PX` that cover an image, by rows."""
+    edges = [np.linspace(0, size, max(1, round(size / TILE_PX)) + 1).astype(int) for size in shape]
+    rows, columns = ([slice(*pair) for pair in pairwise(axis.tolist())] for axis in edges)
+    return [[(row, column) for column in columns] for row in rows]
+
+
+def _least_noise(
+    ratio: FloatArray, usable: NDArray[np.bool_], step: int, cut_off: bool
+) -> tuple[tuple[float, float, float], NDArray[np.bool_]]:
+    """The least noise of a tile that explains all pixels but those near to values too high for it, and these pixels.
+
+    From white noise upwards: stars, at any density, raise quantiles of all pixels, but not those of the pixels between
+    them.
+    """
+    shape = (0.0, 1.0, 0.0)
+    thin = (slice(None, None, step), slice(None, None, step))
+    needed = max(FEWEST_QUIET, LEAST_QUIET * np.count_nonzero(usable))
+    for _ in range(NOISE_STEPS):
+        quiet = usable & ~grown(ratio > _limit(shape, STAR_Z), STAR_PX)
+        if np.count_nonzero(quiet) < needed:
+            shape = (NOISE_STEP * shape[0], NOISE_STEP * shape[1], shape[2])
+            continue
+        limits = (LOW_Z, HIGH_Z) if cut_off else (-CENTRE_Z, CENTRE_Z)
+        before, shape = shape, _parabola(ratio[thin][quiet[thin]], *limits)
+        if _limit(shape, STAR_Z) < (1.0 + NOISE_CHANGE) * _limit(before, STAR_Z):
+            return shape, quiet
+    return (np.nan, np.nan, np.nan), np.zeros_like(usable)
 
 
 def _parabola(ratio: FloatArray, low: float, high: float) -> tuple[float, float, float]:
