@@ -289,6 +289,7 @@ def _clipped_statistics(cells: FloatArray, clip_sigma: float, quantum: float) ->
     density = np.exp(-0.5 * clip_sigma**2) / np.sqrt(2.0 * np.pi)
     shrink = 1.0 - 2.0 * clip_sigma * density / erf(clip_sigma / np.sqrt(2.0))
     low, high = np.zeros(len(ordered), np.int64), count.copy()
+    least = 1e-9 * np.abs(shifted).max(axis=1, initial=0.0)  # where most numbers are equal
 
     def below(limit: FloatArray, side: Literal["left", "right"] = "left") -> NDArray[np.int64]:
         """How many numbers of each row are smaller, or with "right" not larger, than its limit."""
@@ -297,7 +298,7 @@ def _clipped_statistics(cells: FloatArray, clip_sigma: float, quantum: float) ->
 
     for step in range(20):
         median, mean, sigma = _range_moments(shifted, sums, squares, low, high)
-        spread = sigma / np.sqrt(shrink) if step else np.maximum(1.4826 * _range_mad(shifted, low, high), 1e-9)
+        spread = sigma / np.sqrt(shrink) if step else np.maximum(1.4826 * _range_mad(shifted, low, high), least)
         new_low = below(median - clip_sigma * spread)
         new_high = np.maximum(below(median + clip_sigma * spread, "right"), new_low + 1)
         new_high = np.minimum(new_high, count)

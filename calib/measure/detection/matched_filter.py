@@ -134,7 +134,8 @@ class _Search:
 
     def __init__(self, image: SensorImage, background: Background, fwhm_px: float) -> None:
         self.fwhm_px, self.valid = fwhm_px, image.valid & ~image.saturated
-        self.level, self.sigma = background.level_image(), np.maximum(background.sigma_image(), 1e-6)
+        self.level, sigma = background.level_image(), background.sigma_image()
+        self.sigma = np.maximum(sigma, 1e-9 * np.abs(self.level).max() + np.finfo(float).tiny)  # none in flat images
         numbers = image.dn[self.valid]
         self.cut_off = bool(numbers.size and np.mean(numbers == numbers.min()) > CUT_OFF)
         self.light = np.where(image.valid, image.noise.to_electrons(image.dn) - self.level, 0.0)

@@ -106,3 +106,63 @@ def test_spoilt_frames_have_as_many_false_detections_as_stated(kind):
     found = sum(int(((np.abs(one.y_px - 384) > 50.0) | (kind != "trees")).sum()) for one in tables)
     stated = sum(float(noise.false_alarms(3.7)) for noise in noises) * (1.0 if kind != "trees" else 1.0 - 100.0 / 512.0)
     assert abs(found - stated) < 4.0 * np.sqrt(stated) + stated / 6.0
+
+
+def random_stars(count, sigma_px, seed, size=512):
+    rng = np.random.default_rng(seed)
+    x, y = rng.uniform(8, size - 9, (2, count))
+    flux = np.exp(rng.uniform(np.log(3e3), np.log(1e5), count))
+    return x, y, star_field(x, y, flux, sigma_px, (size, size))
+
+
+def spots(sigma_px):
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(10) * 24 + 20.3, np.arange(10) * 24 + 19.8))
+    return x, y, star_field(x, y, 3e4, sigma_px, (256, 256))
+
+
+def beside(structure):
+    """Fifteen stars of SNR 17 in the left half of a frame whose right half holds a structure."""
+    x, y = np.random.default_rng(4).uniform([[10], [10]], [[210], [497]], (2, 15))
+    return x, y, star_field(x, y, 1500.0, 0.9, (507, 507)) + structure
+
+
+ROW, COLUMN = np.indices((507, 507))
+SCENES = {
+    "150 stars": random_stars(150, 1.1, 1),
+    "600 stars": random_stars(600, 1.1, 600),
+    "1000 stars": random_stars(1000, 1.1, 1000),
+    "1000 broad stars": random_stars(1000, 2.0, 1000),
+    "sharp spots": spots(1.1),
+    "broad spots": spots(2.0),
+    "bar": beside(320.0 * (np.abs(COLUMN - 260 - 0.1 * ROW) < 25)),
+    "roof": beside(np.where(COLUMN > 250, 2000.0 * (1.0 + np.sin(ROW / 3.0) * np.sin(COLUMN / 5.0)), 0.0)),
+    "limb": beside(3e4 * (np.hypot(ROW - 253, COLUMN - 620) < 300)),
+    "soft limb": beside(1e4 / (1.0 + np.exp((330.0 - COLUMN) / 6.0))),
+    "glow": beside(5e3 * np.exp(-np.hypot(ROW - 253, COLUMN - 500) / 60.0)),
+}
+
+
+@pytest.mark.reference
+@pytest.mark.parametrize("scene", SCENES)
+def test_stars_at_any_density_and_beside_structure_are_found_as_by_sep(scene):
+    sep = pytest.importorskip("sep")
+    x, y, light = SCENES[scene]
+    rng = np.random.default_rng(2)
+    dn = rng.poisson(light + 100.0) + rng.normal(0.0, 5.0, light.shape)
+    stars = detect(sensor_image(dn, gain_dn_per_e=1.0, offset_dn=0.0, read_noise_e=5.0))
+    sky = sep.Background(dn)
+    extracted = sep.extract(dn - sky.back(), 5.0, err=sky.globalrms)
+
+    def completeness(x_px, y_px):
+        return np.mean(np.hypot(x_px - x[:, None], y_px - y[:, None]).min(axis=1, initial=99.0) < 1.5)
+
+    assert completeness(stars.x_px, stars.y_px) >= completeness(extracted["x"], extracted["y"]) - 0.03
+
+
+@pytest.mark.parametrize("scale", [1e-12, 1e-3, 1e6])
+def test_the_scale_of_the_numbers_does_not_matter(scale):
+    x, y, light = random_stars(40, 1.1, 5, size=200)
+    dn = np.random.default_rng(3).normal(100.0, 3.0, light.shape) + light
+    stars, scaled = detect(sensor_image(dn)), detect(sensor_image(scale * dn))
+    np.testing.assert_allclose(np.hypot(scaled.x_px - stars.x_px, scaled.y_px - stars.y_px), 0.0, atol=1e-9)
+    assert len(stars) > 35
