@@ -91,8 +91,8 @@ def sensor_image(
     """Digital numbers as a `SensorImage`; missing properties are estimated from the image.
 
     Unknown gain: 1 DN/e-; of numbers that are no counts (a noise below `LEAST_NOISE_DN`, as in images scaled to 0 .. 1)
-    such that the noise of the background is 1 e-. Unknown read noise: the noise of the background, less the shot noise of the background if
-    the offset is known. Unknown offset: such that background and read noise together give the measured noise of the
+    such that the noise of the background is 1 e-. Unknown read noise: the noise of the background, less its shot noise
+    if the offset is known. Unknown offset: such that background and read noise together give the measured noise of the
     background. Names of such values are listed in ``assumed``.
 
     Parameters
@@ -149,19 +149,20 @@ def sensor_image(
     stated = {"gain_dn_per_e": gain_dn_per_e, "offset_dn": offset_dn, "read_noise_e": read_noise_e}
     assumed = tuple(name for name, value in stated.items() if value is None)
     gain = 1.0 if gain_dn_per_e is None else float(gain_dn_per_e)
-    offset, read_noise = offset_dn, read_noise_e
+    offset = 0.0 if offset_dn is None else offset_dn
+    read_noise = 0.0 if read_noise_e is None else read_noise_e
     if assumed:
-        plain = NoiseModel(read_noise_e=0.0, gain_dn_per_e=gain, offset_dn=offset or 0.0)
+        plain = NoiseModel(read_noise_e=0.0, gain_dn_per_e=gain, offset_dn=offset)
         frame = SensorImage(dn=values, valid=valid, saturated=saturated, noise=plain, source=source)
         step = 4 if min(values.shape) >= 512 else 1  # level and noise of a large frame to 0.3 %
         sky = estimate_background(frame, step_px=step)
         level, sigma = float(np.median(sky.level_e)), float(np.median(sky.sigma_e))
         if gain_dn_per_e is None and not quantised and 0.0 < sigma < LEAST_NOISE_DN:
             gain, level, sigma = sigma, level / sigma, 1.0
-        if read_noise is None:
-            shot = max(level, 0.0) if offset is not None else 0.0
+        if read_noise_e is None:
+            shot = max(level, 0.0) if offset_dn is not None else 0.0
             read_noise = float(np.sqrt(max(sigma**2 - shot, 0.0)))
-        if offset is None:
+        if offset_dn is None:
             offset = gain * (level - max(sigma**2 - read_noise**2, 0.0))
     return SensorImage(
         dn=values,

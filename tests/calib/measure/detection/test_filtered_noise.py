@@ -161,7 +161,7 @@ def test_stars_at_any_density_and_beside_structure_are_found_as_by_sep(scene):
 
 @pytest.mark.parametrize("scale", [1e-12, 1e-3, 1e6])
 def test_the_scale_of_the_numbers_does_not_matter(scale):
-    x, y, light = random_stars(40, 1.1, 5, size=200)
+    *_, light = random_stars(40, 1.1, 5, size=200)
     dn = np.random.default_rng(3).normal(100.0, 3.0, light.shape) + light
     stars, scaled = detect(sensor_image(dn)), detect(sensor_image(scale * dn))
     np.testing.assert_allclose(np.hypot(scaled.x_px - stars.x_px, scaled.y_px - stars.y_px), 0.0, atol=1e-9)
