@@ -15,6 +15,8 @@ from optics.errors import DomainError
 from optics.records import freeze, freeze_all
 
 if TYPE_CHECKING:
+    from datetime import datetime
+
     from astropy.table import Table
 
     from render.records import Frame, WindowStack
@@ -67,6 +69,15 @@ class NoiseModel:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ExposureTime:
+    """When a frame was exposed, and how that was read."""
+
+    utc: datetime  # Middle of the exposure; of its start if the exposure time is unknown
+    source: str  # Cards, tags, or the name of the file
+    zone_stated: bool  # Whether the source states a zone, or its format fixes it; else read as UTC
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Conversion:
     """Conversion of the numbers of a file to DN, and properties of the converter."""
 
@@ -76,7 +87,8 @@ class Conversion:
     repeated: bool = False  # Whether the upper bits stand again in the lower ones
     full: float | None = None  # Stored number from which a pixel counts as saturated
     channel: str = ""  # Which colours the image was made of
-    taken: str = ""  # When the frame was taken, as the file puts it
+    gain: str = ""  # Card of the gain and what it is counted per, of padded converters
+    taken: ExposureTime | None = None  # When the frame was exposed, by the file
 
     def __str__(self) -> str:
         parts = [f"{self.kind}, {self.stored}{', ' + self.channel if self.channel else ''}"]
@@ -86,6 +98,8 @@ class Conversion:
             parts.append(f"saturated from {self.full:g}")
         if self.repeated:
             parts.append("upper bits repeated in the lower ones")
+        if self.gain:
+            parts.append(self.gain)
         if self.kind == "JPEG":
             parts.append("compression and gamma cannot be undone: noise is correlated, fluxes are not linear")
         return "; ".join(parts)

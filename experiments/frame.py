@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import sys
-import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -91,9 +90,10 @@ def _write_page(
     if table := truth or _truth_beside(file):
         reference.append(truth_marks(_columns(table)))
     if faintest_mag is not None:
-        if sky is None:
+        marks = _catalogue(header, image.dn.shape, faintest_mag)
+        if marks is None:
             raise ConfigError(f"{file}: has no world coordinates, so no star of the catalogue can be placed")
-        reference.append(_catalogue(header, image.dn.shape, faintest_mag))
+        reference.append(marks)
     if find:
         stars = star_marks(find_stars(image, "gaussian", threshold_sigma=sigma))
     placed = [layer for layer in stars if layer.shape != "cross"]
@@ -148,50 +148,49 @@ def _columns(path: Path) -> dict[str, Any]:
 
     try:
         if path.suffix == ".parquet":
+            import pyarrow as pa
             import pyarrow.parquet as pq
 
             columns = pq.read_table(path)
-            return {name: columns.column(name).to_numpy() for name in columns.column_names}
+            # A gap would make identifiers floats, which hold 16 digits
+            whole = {field.name for field in columns.schema if pa.types.is_integer(field.type)}
+            return {
+                name: (column.fill_null(-1) if name in whole else column).to_numpy()
+                for name, column in zip(columns.column_names, columns.columns, strict=True)
+            }
         table = Table.read(path, format={".ecsv": "ascii.ecsv", ".csv": "ascii.csv"}.get(path.suffix))
         return {name: np.asarray(table[name]) for name in table.colnames}
     except Exception as error:  # pyarrow and astropy raise what their readers happen to raise
         raise ConfigError(f"{path}: no table that can be read ({' '.join(str(error).split())[:160]})") from None
 
 
-def _catalogue(header: fits.Header, shape: tuple[int, int], faintest_mag: float) -> Marks:
-    """Stars of the built-in sky in the frame, brightest first."""
+def _catalogue(header: fits.Header, shape: tuple[int, int], faintest_mag: float) -> Marks | None:
+    """Stars of the built-in sky in the frame, brightest first; None without world coordinates."""
     import numpy as np
-    from astropy.wcs import WCS
 
     from optics.frame_html import Marks
     from optics.frames import equatorial_deg
+    from render.fits.wcs import catalogue_pixels
     from render.sky.sky import load_sky
 
-    known = load_sky(faintest_mag=faintest_mag)
-    ra, dec = equatorial_deg(known.direction)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        world = WCS(header, naxis=2).celestial
-        rows, columns = shape
-        centre = world.pixel_to_world(0.5 * columns, 0.5 * rows).icrs.cartesian.xyz.value
-        corner = world.pixel_to_world(-0.5, -0.5).icrs.cartesian.xyz.value
-        near = np.flatnonzero(known.direction @ centre > min(float(centre @ corner), 1.0) - 1e-4)
-        x, y = world.all_world2pix(ra[near], dec[near], 0, quiet=True)
-    inside = (np.abs(x - 0.5 * (columns - 1)) <= 0.5 * columns) & (np.abs(y - 0.5 * (rows - 1)) <= 0.5 * rows)
-    magnitude = known.magnitude[near]
-    order = np.flatnonzero(inside)[np.argsort(magnitude[inside], kind="stable")]
-    stars = near[order]
+    sky = load_sky(faintest_mag=faintest_mag)
+    if (pixels := catalogue_pixels(header, shape, sky.direction)) is None:
+        return None
+    rows, position = pixels
+    order = np.argsort(sky.magnitude[rows], kind="stable")
+    stars, position = rows[order], position[order]
+    ra, dec = equatorial_deg(sky.direction[stars])
     return Marks(
         name="catalogue",
-        x_px=x[order],
-        y_px=y[order],
+        x_px=position[:, 0],
+        y_px=position[:, 1],
         colour="#ffd166",
-        label=[f"{one:.1f}" for one in magnitude[order]],
+        label=[f"{magnitude:.1f}" for magnitude in sky.magnitude[stars]],
         columns={
-            "star": np.asarray(known.id)[stars],
-            "magnitude": magnitude[order],
-            "right ascension [deg]": ra[stars],
-            "declination [deg]": dec[stars],
+            "star": np.asarray(sky.id)[stars],
+            "magnitude": sky.magnitude[stars],
+            "right ascension [deg]": ra,
+            "declination [deg]": dec,
         },
     )
 

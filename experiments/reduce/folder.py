@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from calib.flags import StarFlag, has_flag
 from calib.measure.detection.matched_filter import detect
+from calib.measure.images.exposure_time import header_time
 from calib.measure.images.sensor_image import sensor_image
 from calib.measure.targets.target_points import match_points
 from experiments.laboratory.bench.readout.windows import cut_windows, window_corners
@@ -63,7 +64,7 @@ class FrameSeries:
     response_error: FloatArray | None  # (j, h, w)
     origin: tuple[str, ...]  # File of every frame, with its number in a file of several
     digest: tuple[str, ...]  # Of all pixels of every frame
-    taken: tuple[str, ...]  # DATE-OBS or FRAMENUM of the files; () if a file has none
+    taken: tuple[str, ...]  # Times or FRAMENUM of the headers; () if a file has none
 
     @property
     def name(self) -> str:
@@ -319,8 +320,10 @@ def _cut(
 
 def _taken(files: Sequence[Path]) -> tuple[str, ...]:
     """Text that sorts files by their exposure; () unless every file has its own."""
-    for card in ("DATE-OBS", "FRAMENUM"):
-        values = [image_header(path).get(card) for path in files]
+    headers = [image_header(path) for path in files]
+    times = [header_time(header) for header in headers]
+    instants = [None if time is None else time.utc.isoformat() for time in times]
+    for values in (instants, [header.get("FRAMENUM") for header in headers]):
         if all(isinstance(value, str | int) for value in values) and len(set(values)) == len(values):
             return tuple(f"{value:012d}" if isinstance(value, int) else str(value) for value in values)
     return ()

@@ -6,17 +6,21 @@ import os
 import re
 from collections import Counter
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 
+from calib.measure.images.exposure_time import name_time
 from calib.measure.images.sensor_image import read_image
-from calib.records import SensorImage
+from calib.records import ExposureTime, SensorImage
 from optics.errors import ConfigError, StarbenchError
 
-SUFFIXES = frozenset((".tif", ".tiff", ".png", ".jpg", ".jpeg", ".fits", ".fit", ".fts", ".npy", ".npz"))
-PACKED = frozenset((".gz", ".bz2", ".xz"))
+SUFFIXES = frozenset(
+    (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".pgm", ".ppm", ".pnm", ".fits", ".fit", ".fts", ".npy", ".npz")
+)
+PACKED = frozenset((".gz", ".bz2", ".xz", ".fz"))
 MOST_FRAMES = 500
-_TIME = re.compile(r"(\d{4})-?(\d{2})-?(\d{2})[T_ -]?(\d{2})[-:_h]?(\d{2})[-:_m]?(\d{2})(\.\d+)?")
+_SAME_TIME = timedelta(minutes=5)
+"""Difference of two times of a frame, an exposure included, that is no zone and no other night."""
 _POINTING = re.compile(r"Alt([-+]?\d+(?:\.\d+)?).?Azi?([-+]?\d+(?:\.\d+)?)", re.IGNORECASE)
 
 
@@ -26,7 +30,7 @@ class NightFrame:
 
     name: str  # Of the file
     image: SensorImage  # In steps of the converter
-    taken: datetime | None = None  # UTC
+    taken: datetime | None = None  # Middle of the exposure, UTC
     altitude_deg: float | None = None  # Of the boresight, stated by the name of the file
 
 
@@ -38,10 +42,11 @@ def night_frames(folder: str | Path) -> tuple[tuple[NightFrame, ...], tuple[str,
     folder = Path(folder)
     if not os.path.isdir(folder):
         raise ConfigError(
-            f"--frames {folder}: no such folder; a folder of TIFF, PNG, JPEG, FITS or NumPy frames is needed"
+            f"--frames {folder}: no such folder; a folder of TIFF, PNG, JPEG, PGM, PPM, FITS or NumPy frames is needed"
         )
     paths, notes = _files(folder)
-    frames = []
+    frames: list[NightFrame] = []
+    readings: dict[str, list[str]] = {}
     for path in paths:
         try:
             image = read_image(path)
@@ -49,17 +54,24 @@ def night_frames(folder: str | Path) -> tuple[tuple[NightFrame, ...], tuple[str,
             notes.append(f"left out: {str(error).replace(str(folder) + os.sep, '')}")
             continue
         pointing = pointing_of(path.name)
+        taken, reading = _time(path.name, image)
+        readings.setdefault(reading, []).append(path.name)
         frames.append(
             NightFrame(
                 name=path.name,
                 image=image,
-                taken=time_of(path.name) or time_of(image.conversion.taken if image.conversion else ""),
+                taken=None if taken is None else taken.utc,
                 altitude_deg=None if pointing is None else pointing[0],
             )
         )
+    for reading, names in readings.items():
+        if reading:
+            notes.append(f"time of {names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''}: {reading}")
     if not frames:
         reasons = f": {'; '.join(notes)}" if notes else ""
-        raise ConfigError(f"--frames {folder}: no readable frame (TIFF, PNG, JPEG, FITS, NumPy) in it{reasons}")
+        raise ConfigError(
+            f"--frames {folder}: no readable frame (TIFF, PNG, JPEG, PGM, PPM, FITS, NumPy) in it{reasons}"
+        )
     formats = Counter(_kind(frame) for frame in frames)
     common, count = formats.most_common(1)[0]
     for kind in formats:
@@ -95,16 +107,23 @@ def _files(folder: Path) -> tuple[list[Path], list[str]]:
     return paths, notes
 
 
-def time_of(text: str) -> datetime | None:
-    """A time (UTC) in a name or a header: year, month, day, hour, minute, second."""
-    match = _TIME.search(text or "")
-    if match is None:
-        return None
-    fields = [int(part) for part in match.groups()[:6]]
-    try:
-        return datetime(*fields, int(float(match[7] or 0.0) * 1e6), tzinfo=UTC)  # type: ignore[misc, arg-type]
-    except ValueError:
-        return None
+def _time(name: str, image: SensorImage) -> tuple[ExposureTime | None, str]:
+    """Time of a frame, and a note where its reading is uncertain.
+
+    The header overrules the name, unless only the name states a zone.
+    """
+    header = image.conversion.taken if image.conversion else None
+    stated = name_time(name, image.exposure_s)
+    times = sorted((time for time in (header, stated) if time), key=lambda time: not time.zone_stated)
+    if not times:
+        return None, ""
+    taken, note = times[0], ""
+    if not taken.zone_stated:
+        note = f"{taken.source} states no time zone, read as UTC; in another zone the zenith is off by 15 deg/h"
+    if len(times) == 2 and abs(times[0].utc - times[1].utc) > _SAME_TIME:
+        difference = f"{(times[1].utc - taken.utc) / timedelta(hours=1):+.2f} h"
+        note = f"{note or taken.source}; {times[1].source} differs by {difference} and is not used"
+    return taken, note
 
 
 def pointing_of(name: str) -> tuple[float, float] | None:

@@ -127,7 +127,7 @@ experiment = Experiment(
         "--frames my_night --set camera.pixel_pitch_um=6.9": "the twin of the camera that took these frames",
         "--quick": "four rendered frames of a known camera",
     },
-    options={"frames": ("frames", "Folder of night frames: TIFF, PNG, JPEG, FITS, NumPy.")},
+    options={"frames": ("frames", "Folder of night frames: TIFF, PNG, JPEG, PGM, PPM, FITS, NumPy.")},
     show=("camera", "comparison"),
     judged="twin",
     files="experiment:files",

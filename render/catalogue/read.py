@@ -359,10 +359,11 @@ class _Columns:
         try:
             numbers = np.ma.asarray(column)
             if numbers.dtype.kind == "f":  # a gap makes a column of whole numbers one of floats
-                numbers = np.ma.masked_invalid(numbers)
-                if not (np.abs(numbers.compressed()) < 2**63).all() or (numbers.compressed() % 1 != 0).any():
+                numbers, exact = np.ma.masked_invalid(numbers), 2 ** (np.finfo(numbers.dtype).nmant + 1)
+                if not (np.abs(numbers.compressed()) < exact).all() or (numbers.compressed() % 1 != 0).any():
                     raise ValueError
                 numbers = np.ma.array(numbers.filled(-1.0), mask=np.ma.getmaskarray(numbers))
             return np.ma.filled(numbers.astype(np.int64), -1), ()
         except (TypeError, ValueError, OverflowError):
-            return rows, (f"id: row of the file, column {column.name!r} does not hold whole numbers",)
+            fault = "does not hold whole numbers, or inexact ones (floats)"
+            return rows, (f"id: row of the file, column {column.name!r} {fault}",)

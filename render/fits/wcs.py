@@ -19,15 +19,16 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from astropy.io import fits
 from numpy.typing import ArrayLike
 
-from optics.arrays import FloatArray
+from optics.arrays import FloatArray, IntArray
 from optics.errors import ConvergenceError, DomainError
 from optics.frames import pixel_to_fits
 from optics.rays.paraxial import axial_paraxial
@@ -35,6 +36,9 @@ from optics.records import freeze_all
 from optics.units import RAD_DEG
 from render.camera import Camera
 from render.fits.headers import Card
+
+if TYPE_CHECKING:
+    from astropy.wcs import WCS
 
 HIGHEST_ORDER = 9
 """Highest order of a SIP polynomial that astropy and ds9 read (Shupe et al. 2005)."""
@@ -46,6 +50,8 @@ _FIT_NODES = 20
 _CHECK_NODES = 23
 _LARGEST_RESIDUAL_PX = 0.01
 _NEGLIGIBLE_PX = 1e-8
+_LARGEST_RETURN_PX, _LARGEST_RETURN_RAD = 0.1, 2e-6
+"""Distance of a star from the direction of its pixel; FK4 and back is good to some 0.1 arcsec."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -171,21 +177,91 @@ def lens_wcs(camera: Camera, *, wavelength_nm: float | None = None, tolerance_px
 def sky_grid(header: fits.Header | Iterable[Card], shape: tuple[int, int], *, nodes: int = 65) -> FloatArray | None:
     """Directions over a frame, for `optics.frame_html.frame_page`."""
     # -> (nodes, nodes, 3)
+    grid = _directions(header, shape, nodes)
+    return grid if grid is not None and np.isfinite(grid).all() else None
+
+
+def catalogue_pixels(
+    header: fits.Header, shape: tuple[int, int], direction: FloatArray
+) -> tuple[IntArray, FloatArray] | None:
+    """Stars in a frame, by its world coordinates.
+
+    Parameters
+    ----------
+    header : Header
+        Any celestial system, equinox, order of axes and projection that astropy knows.
+    shape : tuple of int
+        Rows and columns.
+    direction : (n, 3)
+        Unit vectors along icrs.
+
+    Returns
+    -------
+    (m,) and (m, 2), or None
+        Rows of ``direction`` and pixels (x, y); None: the header has no usable world coordinates.
+    """
+    from astropy.coordinates import SkyCoord
+
+    grid = _directions(header, shape, 65)
+    if grid is None or not np.isfinite(grid).any():
+        return None
+    # A cap about the frame: distortion polynomials diverge far from it
+    visible = grid[np.isfinite(grid).all(axis=2)]
+    centre = visible.sum(axis=0) / max(float(np.linalg.norm(visible.sum(axis=0))), 1e-12)
+    radius = 1.1 * math.acos(float(np.clip((visible @ centre).min(), -1.0, 1.0))) + 1e-3
+    rows = np.flatnonzero(direction @ centre >= math.cos(min(radius, math.pi)))
+    sky = SkyCoord(*direction[rows].T, representation_type="cartesian", frame="icrs")
+    with _quiet():
+        world = _celestial(header)
+        x, y = world.world_to_pixel(sky)
+        size = np.array(shape[::-1])
+        position = np.stack([x, y], axis=-1)
+        inside = (np.abs(position - 0.5 * (size - 1)) <= 0.5 * size).all(axis=1)
+        # Directions behind the projection, and false solutions of polynomials, do not lead back
+        back = world.pixel_to_world(*position[inside].T).icrs.cartesian.xyz.value.T
+    scale = np.radians(np.sqrt(abs(np.linalg.det(world.pixel_scale_matrix))))
+    miss = np.linalg.norm(back - direction[rows[inside]], axis=1)
+    chosen = np.flatnonzero(inside)[miss < max(_LARGEST_RETURN_PX * scale, _LARGEST_RETURN_RAD)]
+    return rows[chosen], position[chosen]
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without warnings and remarks of astropy and wcslib about headers of others."""
+    from astropy import log
+
+    level = log.level
+    log.setLevel("ERROR")
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        log.setLevel(level)
+
+
+def _celestial(header: fits.Header) -> WCS:
     from astropy.wcs import WCS
 
+    world = WCS(header, naxis=2)  # .celestial would exchange swapped axes, pixels included
+    if any(kind.startswith("GLON") for kind in world.wcs.ctype):
+        world.wcs.radesys = ""  # means nothing here, but astropy would obey it
+    return world
+
+
+def _directions(header: fits.Header | Iterable[Card], shape: tuple[int, int], nodes: int) -> FloatArray | None:
+    """Directions (nodes, nodes, 3) over a frame, NaN off the sky; None without usable world coordinates."""
     cards = header if isinstance(header, fits.Header) else fits.Header(list(header))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with _quiet():
         try:
-            world = WCS(cards, naxis=2)
+            world = _celestial(cards)
             if not world.has_celestial:
                 return None
             x, y = np.meshgrid(*(np.linspace(-0.5, size - 0.5, nodes) for size in reversed(shape)))
-            directions = world.celestial.pixel_to_world(x, y).icrs.cartesian.xyz.value
+            directions = world.pixel_to_world(x, y).icrs.cartesian.xyz.value
         except Exception:  # wcslib and astropy raise what they happen to raise over headers of others
             return None
-    grid = np.moveaxis(np.asarray(directions, np.float64), 0, -1)
-    return grid if np.isfinite(grid).all() else None
+    return np.moveaxis(np.asarray(directions, np.float64), 0, -1)
 
 
 def _rays_at(camera: Camera, nodes: FloatArray, wavelength_nm: float) -> tuple[FloatArray, FloatArray]:

@@ -1,4 +1,4 @@
-"""Pixel values of image files, with their digital steps: TIFF, PNG, JPEG, NumPy, FITS.
+"""Pixel values of image files, with their digital steps: TIFF, PNG, JPEG, PGM and PPM, NumPy, FITS.
 
 The first bytes determine the format, not the name. Values are not scaled, stretched or rounded: 16 bits stay 16 bits.
 Gamma curve, white balance or compression applied by the camera cannot be undone, and are reported.
@@ -6,8 +6,10 @@ Gamma curve, white balance or compression applied by the camera cannot be undone
 
 from __future__ import annotations
 
+import re
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,7 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.records import Conversion
+from calib.measure.images.exposure_time import exif_time, header_time
+from calib.records import Conversion, ExposureTime
 from optics.errors import ConfigError, StarbenchError
 from optics.fits import located, open_fits, unpacked
 
@@ -25,8 +28,11 @@ FEWEST_CODES = 8
 """Fewest different numbers for which a common step is significant."""
 PILED_UP, PILED_OVER = 8, 10.0
 """Pixels at the highest number, and their ratio to those within 5 % below it, that show a level of saturation."""
-_EXIF_EXPOSURE, _EXIF_TAKEN, _EXIF_TABLE = 33434, 36867, 0x8769
+_EXPOSURE_KEYS = ("EXPTIME", "EXPOSURE", "XPOSURE")  # s
+_EXIF_TABLE, _GPS_TABLE = 0x8769, 0x8825
 _WHITE_IS_ZERO, _PALETTE, _SEPARATE = 0, 3, 2  # photometric interpretation, planar configuration (TIFF 6.0)
+_NETPBM = re.compile(rb"P([2356])" + 3 * rb"(?:\s|#[^\n]*\n)+(\d{1,9})" + rb"\s")
+"""Format, columns, rows and full scale; comments anywhere (netpbm.sourceforge.net/doc/pgm.html)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,8 +43,9 @@ class StoredPixels:
     opaque: NDArray[np.bool_] | None = None  # (h, w) Where an alpha channel is not 0
     kind: str  # Name of the format
     header: Any = field(default_factory=dict)  # Of a FITS file
+    full: float | None = None  # Full scale, if the file states one other than its type's
     exposure_s: float | None = None
-    taken: str = ""  # When, as the file puts it
+    taken: ExposureTime | None = None
 
 
 def load_pixels(path: str | Path, *, hdu: int | str | None = None, plane: int | None = None) -> StoredPixels:
@@ -72,7 +79,9 @@ def load_pixels(path: str | Path, *, hdu: int | str | None = None, plane: int | 
 def _reader(start: bytes) -> tuple[Callable[[Path, int | None], StoredPixels] | None, str]:
     if start.startswith((b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")):
         return _tiff, "TIFF"
-    if start.startswith((b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"GIF8", b"P5", b"P6")):
+    if re.match(rb"P[2356][\s#]", start):
+        return _netpbm, "PGM or PPM"
+    if start.startswith((b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"GIF8")):
         return _picture, {0x89: "PNG", 0xFF: "JPEG"}.get(start[0], "picture")
     if start.startswith((b"\x93NUMPY", b"PK\x03\x04")):
         return _numpy, "NumPy"
@@ -105,23 +114,53 @@ def _tiff(path: Path, plane: int | None) -> StoredPixels:
             values = np.moveaxis(values, 0, -1)
         if page.photometric == _WHITE_IS_ZERO:
             values = np.iinfo(values.dtype).max - values
-        tags = {code: page.tags[code].value for code in (306, _EXIF_EXPOSURE) if code in page.tags}
-        exif = dict(page.tags[_EXIF_TABLE].value) if _EXIF_TABLE in page.tags else {}
-    exposure = tags.get(_EXIF_EXPOSURE, exif.get("ExposureTime"))
+        tags: dict[str, Any] = {
+            page.tags[code].name: page.tags[code].value for code in (306, 33434) if code in page.tags
+        }
+        for table in (_EXIF_TABLE, _GPS_TABLE):
+            tags |= dict(page.tags[table].value) if table in page.tags else {}
+    values, opaque = _colours(path, values)
+    return StoredPixels(values=values, opaque=opaque, kind="TIFF", **_times(tags))
+
+
+def _times(tags: Mapping[str, Any]) -> dict[str, Any]:
+    """Exposure time and time of EXIF or TIFF tags, name -> value."""
+    exposure = tags.get("ExposureTime")
     if isinstance(exposure, tuple):
         exposure = exposure[0] / exposure[1] if exposure[1] else None
-    values, opaque = _colours(path, values)
-    return StoredPixels(
-        values=values,
-        opaque=opaque,
-        kind="TIFF",
-        exposure_s=_positive(exposure),
-        taken=str(exif.get("DateTimeOriginal", tags.get(306, ""))).strip("\0 "),
-    )
+    seconds = _positive(exposure)
+    return {"exposure_s": seconds, "taken": exif_time(tags, seconds)}
+
+
+def _netpbm(path: Path, plane: int | None) -> StoredPixels:
+    """PGM and PPM in their steps, which Pillow stretches to 8 or 16 bits."""
+    content = path.read_bytes()
+    match = _NETPBM.match(content)
+    if match is None:
+        raise ConfigError(f"{path}: not a readable PGM or PPM file (its header is damaged)")
+    _plane(path, 1, plane)
+    kind, (columns, rows, full) = int(match[1]), (int(number) for number in match.groups()[1:])
+    _check_size(path, columns, rows)
+    if not 0 < full < 65536:
+        raise ConfigError(f"{path}: full scale {full}; 1 to 65535 is allowed")
+    shape = (rows, columns, 3) if kind in (3, 6) else (rows, columns)
+    count, width = int(np.prod(shape)), 1 if full < 256 else 2
+    if kind in (2, 3):
+        words = re.sub(rb"#[^\n]*", b"", content[match.end() :]).split(maxsplit=count)
+        values = np.array(words[:count], np.int64)
+    else:
+        values = np.frombuffer(content[match.end() : match.end() + count * width], f">u{width}")
+    if values.size < count:
+        raise ConfigError(f"{path}: the file ends within the pixel data: it is truncated")
+    if not 0 <= values.min() <= values.max() <= full:
+        raise ConfigError(f"{path}: values from {values.min()} to {values.max()}; full scale is {full}")
+    values = values.astype(f"u{width}").reshape(shape)
+    stated = None if full in (255, 65535) else float(full)  # else the type's, whatever the depth
+    return StoredPixels(values=values, kind="PGM" if values.ndim == 2 else "PPM", full=stated)
 
 
 def _picture(path: Path, plane: int | None) -> StoredPixels:
-    from PIL import Image
+    from PIL import ExifTags, Image
 
     with Image.open(path) as file:
         kind = str(file.format)
@@ -130,21 +169,19 @@ def _picture(path: Path, plane: int | None) -> StoredPixels:
         if number:
             file.seek(number)
         exif = file.getexif()
-        shot = exif.get_ifd(_EXIF_TABLE)
+        shot = {**exif, **exif.get_ifd(_EXIF_TABLE)}
+        tags = {ExifTags.TAGS.get(code, ""): value for code, value in shot.items()}
+        tags |= {ExifTags.GPSTAGS.get(code, ""): value for code, value in exif.get_ifd(_GPS_TABLE).items()}
         if kind == "PNG" and _png_bits(path) == (16, True):
             values = _deep_png(path)
         else:
             plain = {"1": "L", "P": "RGBA" if "transparency" in file.info else "RGB", "PA": "RGBA"}
             numeric = file.mode in ("L", "LA", "RGB", "RGBA", "I", "F") or file.mode.startswith("I;16")
             values = np.asarray(file if numeric else file.convert(plain.get(file.mode, "RGB")))
+    if kind == "PNG" and values.dtype == np.int32:  # 16 bits of older versions of Pillow
+        values = values.astype(np.uint16)
     values, opaque = _colours(path, values)
-    return StoredPixels(
-        values=values,
-        opaque=opaque,
-        kind=kind,
-        exposure_s=_positive(shot.get(_EXIF_EXPOSURE)),
-        taken=str(shot.get(_EXIF_TAKEN, exif.get(306, ""))),
-    )
+    return StoredPixels(values=values, opaque=opaque, kind=kind, **_times(tags))
 
 
 def _png_bits(path: Path) -> tuple[int, bool]:
@@ -189,7 +226,7 @@ def _numpy(path: Path, plane: int | None) -> StoredPixels:
 
 def _fits(path: Path | str, hdu: int | str | None, plane: int | None) -> StoredPixels:
     if isinstance(path, Path) and (content := _head(path)) is not None and b"SIMPLE" not in content:
-        raise ConfigError(f"{path}: no image: neither TIFF, PNG, JPEG, NumPy nor a readable FITS file")
+        raise ConfigError(f"{path}: no image: neither TIFF, PNG, JPEG, PGM, PPM, NumPy nor a readable FITS file")
     with open_fits(path) as file:
         if hdu is None:
             images = [item for item in file if item.is_image and item.header.get("NAXIS", 0) >= 2]
@@ -201,7 +238,7 @@ def _fits(path: Path | str, hdu: int | str | None, plane: int | None) -> StoredP
             raise ConfigError(f"{path}: has no extension {hdu!r}; it has {len(file)}, counted from 0") from None
         data = chosen.data
         header = chosen.header.copy()
-        dict(header)  # parses every value, so that faults are reported here
+        cards = {**_readable_cards(file[0].header), **dict(header)}  # parses every value: faults are reported here
     if data is None or not isinstance(data, np.ndarray) or data.dtype.kind not in "iuf":
         raise ConfigError(f"{path}: extension {hdu if hdu is not None else 0} holds no image")
     if data.ndim > 2:
@@ -209,7 +246,18 @@ def _fits(path: Path | str, hdu: int | str | None, plane: int | None) -> StoredP
         data = data[_plane(path, len(data), plane)]
     if data.ndim != 2 or data.size == 0:
         raise ConfigError(f"{path}: image has shape {data.shape}; two dimensions and at least one pixel are needed")
-    return StoredPixels(values=data, kind="FITS", header=header, taken=str(header.get("DATE-OBS", "")))
+    exposure_s = next((seconds for key in _EXPOSURE_KEYS if (seconds := _positive(cards.get(key)))), None)
+    taken = header_time(cards, exposure_s)
+    return StoredPixels(values=data, kind="FITS", header=header, exposure_s=exposure_s, taken=taken)
+
+
+def _readable_cards(header: Any) -> dict[str, Any]:
+    """Values of the primary header, which hold for its extensions too."""
+    cards = {}
+    for card in header.cards:
+        with suppress(Exception):  # of damaged cards
+            cards[card.keyword] = card.value
+    return cards
 
 
 def _head(path: Path) -> bytes | None:

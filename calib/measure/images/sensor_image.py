@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +21,8 @@ _GAIN_KEYS = ("EGAIN", "CCDGAIN", "GAIN")  # electrons per DN
 _READ_NOISE_KEYS = ("RDNOISE", "READNOIS", "ENOISE", "RON")  # electrons
 _SATURATION_KEYS = ("SATURATE", "SATLEVEL", "DATAMAX")  # DN
 _OFFSET_KEY = "OFFSET"  # DN, if the comment says so; elsewhere it is a camera setting
-_EXPOSURE_KEYS = ("EXPTIME", "EXPOSURE")  # s
+_PER_NATIVE_STEP = re.compile(r"\bZWO\b|\bASI ?\d{3}", re.IGNORECASE)
+"""Cameras whose driver pads to 16 bits and states EGAIN per step of the converter (panoptes/POCS issue 899)."""
 _CHANNELS = ("mean", "red", "green", "blue")
 
 
@@ -188,7 +190,7 @@ def read_image(
     saturation_dn: float | None = None,
     defect: NDArray[np.bool_] | None = None,
 ) -> SensorImage:
-    """Read an image file: FITS, TIFF, PNG, JPEG, NumPy; 8 to 16 bits or floats; grey or colour.
+    """Read an image file: FITS, TIFF, PNG, JPEG, PGM, PPM, NumPy; 8 to 16 bits or floats; grey or colour.
 
     A DN of the result is a step of the converter: 12 bits in the upper bits of 16 are divided by 16, and the level of
     saturation with them. ``str(image.conversion)`` states the result. Of colours the mean is taken; a pixel is
@@ -196,9 +198,11 @@ def read_image(
 
     Used keywords of FITS, in units of the stored numbers: EGAIN or CCDGAIN, or GAIN if its comment speaks of electrons
     (elsewhere it is a camera setting) [e-/DN]; OFFSET if its comment gives the unit [DN]; RDNOISE, READNOIS, ENOISE or
-    RON [e-]; SATURATE, SATLEVEL or DATAMAX [DN]; EXPTIME or EXPOSURE [s]. BSCALE, BZERO, BLANK and tile compression are
-    undone by astropy; CHECKSUM and DATASUM are verified. Exposure times of EXIF are read. Arguments override keywords;
-    missing values are estimated as by `sensor_image`.
+    RON [e-]; SATURATE, SATLEVEL or DATAMAX [DN]; EXPTIME, EXPOSURE or XPOSURE [s]. The gain of ZWO's cameras (INSTRUME)
+    is in units of the converter's steps instead; ``conversion.gain`` states the reading of padded numbers. BSCALE,
+    BZERO, BLANK and tile compression are undone by astropy; CHECKSUM and DATASUM are verified. ``conversion.taken`` is
+    the middle of the exposure, by FITS, EXIF or TIFF. Arguments override keywords; missing values are estimated as by
+    `sensor_image`.
 
     Parameters
     ----------
@@ -237,6 +241,7 @@ def read_image(
     if step is not None:
         conversion = replace(conversion, step=float(step))
     full = _number(header, _SATURATION_KEYS) if saturation_dn is None else saturation_dn * conversion.step
+    full = stored.full - stored.full % conversion.step if full is None and stored.full is not None else full
     conversion = replace(conversion, full=conversion.full if full is None else full, taken=stored.taken)
     saturated: Any = None if conversion.full is None else values >= conversion.full
     if values.ndim == 3:
@@ -246,8 +251,13 @@ def read_image(
     if conversion.step != 1:
         values = values // int(conversion.step) if conversion.repeated else values / conversion.step
     if gain_dn_per_e is None:
-        electrons_per_dn = _gain_keyword(header)
-        gain_dn_per_e = None if electrons_per_dn is None else 1.0 / (electrons_per_dn * conversion.step)
+        card, electrons_per_dn = _gain_keyword(header)
+        native = _PER_NATIVE_STEP.search(f"{header.get('INSTRUME', '')} {header.get('CAMERA', '')}") is not None
+        if electrons_per_dn is not None:
+            gain_dn_per_e = 1.0 / (electrons_per_dn * (1.0 if native else conversion.step))
+            if conversion.step != 1:
+                unit = "step of the converter, the habit of ZWO's driver" if native else "stored number"
+                conversion = replace(conversion, gain=f"{card} = {electrons_per_dn:g} e- read per {unit}")
     if offset_dn is None and _OFFSET_KEY in header and "[dn]" in str(header.comments[_OFFSET_KEY]).lower():
         offset_dn = _number(header, (_OFFSET_KEY,), zero=True)
         offset_dn = None if offset_dn is None else offset_dn / conversion.step
@@ -264,7 +274,7 @@ def read_image(
         saturated=saturated,
         defect=transparent if defect is None else defect,
         quantised=conversion.full is not None or None,
-        exposure_s=stored.exposure_s or _number(header, _EXPOSURE_KEYS),
+        exposure_s=stored.exposure_s,
         source=Path(path).name,
     )
     return replace(image, conversion=conversion)
@@ -328,10 +338,11 @@ def _number(header: Any, keys: tuple[str, ...], *, zero: bool = False) -> float 
     return None
 
 
-def _gain_keyword(header: Any) -> float | None:
+def _gain_keyword(header: Any) -> tuple[str, float | None]:
+    """Card and its value [e-/DN]."""
     for key in _GAIN_KEYS:
         value = _number(header, (key,))
         comment = "" if value is None else str(header.comments[key]).lower()
         if value is not None and (key != "GAIN" or any(unit in comment for unit in ("electron", "e-", "e/"))):
-            return value
-    return None
+            return key, value
+    return "", None

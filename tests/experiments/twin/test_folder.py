@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import os
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
+from astropy.io import fits
 from PIL import Image
 
 from experiments.harness.progress import Progress
-from experiments.twin.folder import night_frames, pointing_of, time_of
+from experiments.twin.folder import night_frames, pointing_of
 from experiments.twin.pipeline import measure_night
 from experiments.twin.settings import TwinConfig
 
@@ -23,11 +24,29 @@ def save(path, image):
     Image.fromarray(image.astype(np.uint16)).save(path)
 
 
-def test_time_and_pointing_of_a_name():
-    assert time_of(NAME) == datetime(2019, 7, 29, 20, 47, 26, tzinfo=UTC)
+def test_pointing_of_a_name():
     assert pointing_of(NAME) == (40.0, -135.0)
-    assert time_of("IMG_0001.tiff") is None
-    assert time_of("20191399T996199") is None
+
+
+LOCAL, EXACT = "2024-05-01_22-10-33_L_60.00s.fits", "2024-05-01T20-10-33Z.fits"
+
+
+@pytest.mark.parametrize(
+    ("name", "cards", "minutes", "note"),
+    [
+        (LOCAL, {"DATE-OBS": "2024-05-01T20:10:33", "EXPTIME": 120.0}, 1, "file name + half the exposure differs"),
+        (LOCAL, {"EXPTIME": 120.0}, 121, "no time zone, read as UTC"),
+        (EXACT, {"DATE-OBS": "2024-05-01T22:10:33", "TIMESYS": "LOCAL"}, 0, "TIMESYS = 'LOCAL' differs by +2.00 h"),
+        (EXACT, {"DATE-OBS": "2024-05-01T20:10:33"}, 0, ""),
+    ],
+)  # fmt: skip
+def test_a_header_overrules_a_name_and_uncertain_readings_are_noted(tmp_path, name, cards, minutes, note):
+    fits.writeto(
+        tmp_path / name, np.random.default_rng(1).poisson(100.0, (24, 32)).astype(np.uint16), fits.Header(cards)
+    )
+    (frame,), notes = night_frames(tmp_path)
+    assert frame.taken == datetime(2024, 5, 1, 20, 10, 33, tzinfo=UTC) + timedelta(minutes=minutes)
+    assert (note in notes[0] and name in notes[0]) if note else not notes
 
 
 def test_another_camera_and_dead_links_are_named(tmp_path):

@@ -218,7 +218,9 @@ def test_ids_that_are_no_numbers():
     catalog = read_plain(table)
     assert catalog.id.tolist() == list(range(30))
     assert read_plain(plain_table(id=[np.nan, *range(7, 36)])).id.tolist() == [-1, *range(7, 36)]
-    for odd in (0.5, 1e19):
+    gaia = np.ma.array([4611686018427387905, *range(7, 36)], mask=[False] * 29 + [True])
+    assert read_plain(plain_table(id=gaia)).id.tolist() == [4611686018427387905, *range(7, 35), -1]
+    for odd in (0.5, 1e19, 2.0**53):  # the last one stands for 2^53 + 1 too
         assert read_plain(plain_table(id=[odd, *range(7, 36)])).id.tolist() == list(range(30))
     assert any("row of the file" in note for note in catalog.notes)
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from astropy.coordinates import SkyCoord
+from astropy.coordinates import FK5, SkyCoord
 from astropy.io import fits
 from astropy.wcs import WCS
 from scipy.spatial.transform import Rotation
@@ -17,7 +17,7 @@ from optics.lens_file import load_lens
 from optics.rays.chief_ray import chief_ray_points
 from render.camera import Camera
 from render.fits.files import write_frame
-from render.fits.wcs import lens_wcs
+from render.fits.wcs import catalogue_pixels, lens_wcs, sky_grid
 from render.records import Frame
 
 # lens, columns, rows, pitch [mm], field of the grid [deg]
@@ -138,3 +138,97 @@ def test_order_follows_the_tolerance() -> None:
     fine, coarse = lens_wcs(held, tolerance_px=1e-4), lens_wcs(held, tolerance_px=0.01)
     assert coarse.inverse_order < fine.inverse_order <= 9
     assert fine.inverse_residual_px < 1e-4 < coarse.inverse_residual_px < 0.01
+
+
+RADIUS_DEG = {  # of a direction at an angle [rad] from the reference point: Calabretta & Greisen 2002, sec. 5.1
+    "TAN": lambda angle: np.degrees(np.where(angle < 0.5 * np.pi, np.tan(angle), np.nan)),
+    "STG": lambda angle: np.degrees(2.0 * np.tan(0.5 * angle)),
+    "ARC": np.degrees,
+    "ZEA": lambda angle: np.degrees(2.0 * np.sin(0.5 * angle)),
+}
+EQUATORIAL, SIDE = ("RA--", "DEC-"), 400
+CURVE = 5e-5
+HEADERS = {  # system of astropy, its cards, names of the axes, projection, width [deg], reference pixel (FITS)
+    "no system": ("icrs", {}, EQUATORIAL, "TAN", 12.0, (200.5, 200.5)),
+    "ICRS in the corner": ("icrs", {"RADESYS": "ICRS"}, EQUATORIAL, "TAN", 45.0, (400.0, 1.0)),
+    "far outside": ("icrs", {"RADESYS": "ICRS"}, EQUATORIAL, "TAN", 30.0, (-300.0, 900.0)),
+    "FK4": ("fk4", {"RADESYS": "FK4", "EQUINOX": 1950.0}, EQUATORIAL, "TAN", 12.0, (200.5, 200.5)),
+    "B1950 by its equinox": ("fk4", {"EQUINOX": 1950.0}, EQUATORIAL, "ARC", 12.0, (200.5, 200.5)),
+    "FK5 of 1975": (FK5(equinox="J1975"), {"RADESYS": "FK5", "EQUINOX": 1975.0}, EQUATORIAL, "TAN", 12.0, (1.0, 1.0)),
+    "old keyword": ("fk5", {"RADECSYS": "FK5", "EPOCH": 2000.0}, EQUATORIAL, "TAN", 12.0, (200.5, 200.5)),
+    "galactic": ("galactic", {}, ("GLON", "GLAT"), "ZEA", 60.0, (100.0, 300.0)),
+    "galactic with a card": ("galactic", {"RADESYS": "ICRS"}, ("GLON", "GLAT"), "STG", 90.0, (200.5, 200.5)),
+    "fisheye": ("icrs", {}, EQUATORIAL, "ARC", 180.0, (200.5, 200.5)),
+}
+
+
+@pytest.mark.parametrize("swapped", [False, True], ids=["", "swapped"])
+@pytest.mark.parametrize("name", HEADERS)
+def test_stars_of_foreign_headers(name: str, swapped: bool) -> None:
+    """Place by distance and position angle from the reference point: CRVAL, CRPIX, CD by their definitions."""
+    system, cards, names, projection, width, reference = HEADERS[name]
+    stars = random_directions(4000)
+    sky = SkyCoord(*stars.T, representation_type="cartesian", frame="icrs").transform_to(system)
+    sky = SkyCoord(sky.spherical.lon, sky.spherical.lat, frame=sky.frame.replicate_without_data())
+    centre = SkyCoord(83.8, -1.2, unit="deg").transform_to(sky.frame)
+    step = width / SIDE
+    radius, turn = RADIUS_DEG[projection](centre.separation(sky).rad) / step, centre.position_angle(sky).rad
+    east, north = radius * np.sin(turn), radius * np.cos(turn)
+    axes = [(names[0], centre.spherical.lon.deg, -step, -east), (names[1], centre.spherical.lat.deg, step, north)]
+    header = fits.Header(cards)
+    expected = np.empty((len(stars), 2))
+    for axis, (kind, value, scale, offset) in enumerate(axes[::-1] if swapped else axes):
+        header[f"CTYPE{axis + 1}"], header[f"CRVAL{axis + 1}"] = f"{kind}-{projection}", value
+        header[f"CD{axis + 1}_{axis + 1}"], header[f"CRPIX{axis + 1}"] = scale, reference[axis]
+        expected[:, axis] = reference[axis] - 1.0 + offset
+    rows, position = catalogue_pixels(header, (SIDE, SIDE), stars)
+    inside = np.flatnonzero((np.abs(expected - 0.5 * (SIDE - 1)) <= 0.5 * SIDE).all(axis=1))
+    assert rows.tolist() == inside.tolist()
+    assert len(rows) > 5
+    assert np.abs(position - expected[rows]).max() < 1e-3
+    grid = sky_grid(header, (SIDE, SIDE), nodes=SIDE + 1)
+    near = np.rint(position[:, ::-1] + 0.5).astype(int)  # node k lies at k - 0.5
+    assert (np.linalg.norm(grid[tuple(near.T)] - stars[rows], axis=1) < np.radians(step) * 1.2).all()
+
+
+def random_directions(count: int) -> np.ndarray:
+    """Half of them over the sphere, half within 12 deg of Orion."""
+    v = np.random.default_rng(5).normal(size=(count, 3))
+    v /= np.linalg.norm(v, axis=1, keepdims=True)
+    v[::2] = v[::2] * 0.1 + SkyCoord(83.8, -1.2, unit="deg").cartesian.xyz.value
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize("suffix", ["", "-SIP"])
+def test_distortion_and_cylinders_of_foreign_headers(suffix: str, caplog: pytest.LogCaptureFixture) -> None:
+    """u + CURVE u^2 = U along columns; plate carree: longitude and latitude as they are."""
+    stars = random_directions(4000)
+    sky = SkyCoord(*stars.T, representation_type="cartesian", frame="icrs").spherical
+    step = 12.0 / SIDE
+    cards = {"CRPIX1": 200.5, "CRPIX2": 200.5, "CD1_1": -step, "CD2_2": step}
+    plate = fits.Header({"CTYPE1": "RA---CAR", "CTYPE2": "DEC--CAR", "CRVAL1": 83.8, "CRVAL2": 0.0, **cards})
+    rows, position = catalogue_pixels(plate, (SIDE, SIDE), stars)
+    longitude, latitude = sky.lon.deg[rows], sky.lat.deg[rows]
+    assert len(rows) > 100
+    assert np.abs(position - 199.5 - np.stack([83.8 - longitude, latitude], axis=1) / step).max() < 1e-6
+    curve = {"A_ORDER": 2, "B_ORDER": 2, "A_2_0": CURVE}
+    names = {"CTYPE1": "RA---TAN", "CTYPE2": "DEC--TAN", "CRVAL1": 83.8, "CRVAL2": -1.2}
+    straight, ideal = catalogue_pixels(fits.Header({**names, **cards}), (SIDE, SIDE), stars)
+    names |= {key: names[key] + suffix for key in ("CTYPE1", "CTYPE2")}
+    bent = fits.Header({**names, **cards, **curve})
+    rows, position = catalogue_pixels(bent, (SIDE, SIDE), stars)
+    _, first, second = np.intersect1d(straight, rows, return_indices=True)
+    shift = (np.sqrt(1.0 + 4.0 * CURVE * (ideal[first, 0] - 199.5)) - 1.0) / (2.0 * CURVE)
+    assert len(first) > 100
+    assert np.abs(position[second, 0] - 199.5 - shift).max() < 2e-4
+    assert "SIP" not in caplog.text
+
+
+def test_headers_without_stars() -> None:
+    none = np.empty((0, 3))
+    cards = {"CTYPE1": "RA---TAN", "CTYPE2": "DEC--TAN", "CD1_1": 1e-6, "CD2_2": 1e-6, "CRVAL1": 1.0, "CRVAL2": 89.0}
+    for stars in (none, random_directions(9)):
+        rows, position = catalogue_pixels(fits.Header(cards), (9, 9), stars)
+        assert (rows.shape, position.shape) == ((0,), (0, 2))
+    for odd in ({}, {"CTYPE1": "LINEAR", "CTYPE2": "LINEAR"}, {**cards, "CTYPE1": "RA---ABC", "CTYPE2": "DEC--ABC"}):
+        assert catalogue_pixels(fits.Header(odd), (9, 9), none) is None

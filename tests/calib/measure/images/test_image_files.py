@@ -1,6 +1,7 @@
 """Files of cameras nobody here knows: what is in them must come out, or one line that says why not."""
 
 import io
+from datetime import UTC, datetime
 
 import numpy as np
 import pytest
@@ -69,6 +70,35 @@ def test_counts_of_the_converter_and_its_saturation(tmp_path, counts, kind):
     np.testing.assert_array_equal(image.saturated, counts == 4095)
 
 
+@pytest.mark.parametrize("full", [200, 255, 1023, 4095, 16383, 65535])
+@pytest.mark.parametrize("kind", ["P2", "P3", "P5", "P6"])
+def test_portable_maps_in_native_steps(tmp_path, kind, full):
+    """Any full scale, comments in the header, big-endian; what reaches the full scale is saturated."""
+    shape = (20, 30, 3) if kind in ("P3", "P6") else (20, 30)
+    values = np.random.default_rng(1).integers(0, full // 2, shape)
+    values[3, 4] = full
+    head = f"{kind}\n# camera 7, 5 ms\n30 # columns\n20\n{full}\n".encode()
+    text = " ".join(map(str, values.ravel())).encode()
+    raster = text if kind in ("P2", "P3") else values.astype(np.uint8 if full < 256 else ">u2").tobytes()
+    (tmp_path / "a.pgm").write_bytes(head + raster)
+    image = read_image(tmp_path / "a.pgm")
+    np.testing.assert_allclose(image.dn, values if values.ndim == 2 else values.mean(axis=2))
+    assert list(zip(*np.nonzero(image.saturated), strict=True)) == [(3, 4)]
+
+
+@pytest.mark.parametrize(
+    ("camera", "gain_dn_per_e", "said"),
+    [("ZWO ASI1600MM Pro", 1.0 / 1.6, "per step of the converter"), ("QHY600M", 0.1 / 1.6, "per stored number")],
+)
+def test_gain_of_padded_numbers(tmp_path, counts, camera, gain_dn_per_e, said):
+    """12 bits in steps of 10 (a digital gain): EGAIN counts those of the converter where that is the driver's habit."""
+    header = fits.Header({"EGAIN": 1.6, "INSTRUME": camera})
+    fits.writeto(tmp_path / "a.fits", (counts * 10).astype(np.uint16), header)
+    image = read_image(tmp_path / "a.fits")
+    assert image.noise.gain_dn_per_e == pytest.approx(gain_dn_per_e)
+    assert f"EGAIN = 1.6 e- read {said}" in str(image.conversion)
+
+
 def test_eight_bit_colours_alpha_and_exposure(tmp_path):
     rgba = np.random.default_rng(1).integers(10, 90, (30, 40, 4)).astype(np.uint8)
     rgba[..., 3] = 255
@@ -86,7 +116,7 @@ def test_eight_bit_colours_alpha_and_exposure(tmp_path):
     Image.fromarray(rgba[..., :3]).save(tmp_path / "a.jpg", exif=exif)
     image = read_image(tmp_path / "a.jpg")
     assert image.exposure_s == 0.25
-    assert image.conversion.taken == "2019:07:29 20:47:26"
+    assert image.conversion.taken.utc == datetime(2019, 7, 29, 20, 47, 26, 125_000, tzinfo=UTC)
     assert "gamma" in str(image.conversion)
 
 
@@ -99,6 +129,9 @@ def bad_files(folder, counts):
     (folder / "cut.png").write_bytes(packed.getvalue()[:700])
     (folder / "empty.jpg").write_bytes(b"")
     (folder / "words.png").write_text("no picture at all, but quite some words about stars and their frames")
+    (folder / "cut.pgm").write_bytes(b"P5 9 9 1023\n" + bytes(100))
+    (folder / "over.pgm").write_bytes(b"P2 2 1 1023 5 1024")
+    (folder / "head.pgm").write_bytes(b"P5 9 x 1023\n")
     np.save(folder / "objects.npy", np.array([{}, {}]), allow_pickle=True)
     np.savez(folder / "two.npz", a=counts, b=counts)
     (folder / "folder.png").mkdir()
@@ -115,6 +148,9 @@ def bad_files(folder, counts):
         "cut.png": "truncated",
         "empty.jpg": "empty",
         "words.png": "no image",
+        "cut.pgm": "truncated",
+        "over.pgm": "full scale is 1023",
+        "head.pgm": "header is damaged",
         "objects.npy": "not a readable",
         "two.npz": "2 arrays",
         "folder.png": "a folder",
