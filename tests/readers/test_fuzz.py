@@ -408,19 +408,19 @@ def test_a_bomb_within_a_tile(tmp_path, members):
     assert "unpacks to more than its 4096 pixels" in said
 
 
-@pytest.mark.parametrize(
-    ("more", "said"),
-    [
-        ('<STREAM href="http://example.org/stars" encoding="base64"/>', "data are in another file"),
-        ('<STREAM href="file:///etc/passwd"/>', "data are in another file"),
-    ],
-)
-def test_a_votable_whose_data_are_elsewhere(tmp_path, more, said):
+def test_a_votable_whose_data_are_elsewhere(tmp_path):
     path = tmp_path / "remote.vot"
     stars().write(path, format="votable")
     text = path.read_text()
-    path.write_text(re.sub(r"<TABLEDATA>.*</TABLEDATA>", f"<BINARY>{more}</BINARY>", text, flags=re.S))
-    refuses(StarbenchError, said, catalogue_of, path)
+    path.write_text(
+        re.sub(
+            r"<TABLEDATA>.*</TABLEDATA>",
+            '<BINARY><STREAM href="file:///etc/passwd" encoding="base64"/></BINARY>',
+            text,
+            flags=re.S,
+        )
+    )
+    refuses(StarbenchError, "data are in another file", catalogue_of, path)
     path.write_text(text.replace("<VOTABLE", '<!DOCTYPE a [<!ENTITY b "c">]>\n<VOTABLE', 1))
     refuses(StarbenchError, "entities", catalogue_of, path)
 
