@@ -7,6 +7,7 @@ import os
 import numpy as np
 import pytest
 
+from optics.arrays import NUMPY
 from optics.frames import field_direction, light_direction
 from optics.lens.perturb import decentre, tilt
 from optics.lens_file import load_lens
@@ -16,6 +17,21 @@ from render.engine.upload import uploaded
 
 LENSES = ("star_camera_206mm", "star_tracker_26mm", "double_gauss_50mm")
 OTHERS = [(LENSES[0], True), (LENSES[1], False), (LENSES[2], False), (LENSES[2], True)]
+
+
+def test_elementary_functions_agree_with_numpy(engine):
+    xp = engine.arrays
+    values = np.array([-2.0, -0.0, 0.5, 3.0])
+    arrays = engine.types.Float64(values)
+    assert np.array_equal(xp.sqrt(engine.types.Float64(values**2)).numpy(), NUMPY.sqrt(values**2))
+    assert np.array_equal(xp.maximum(arrays, 0.25).numpy(), NUMPY.maximum(values, 0.25))
+    assert np.array_equal(xp.where(arrays > 0, arrays, 7.0).numpy(), NUMPY.where(values > 0, values, 7.0))
+    assert np.array_equal(xp.minimum(arrays, 0.25).numpy(), NUMPY.minimum(values, 0.25))
+    index, table = xp.whole(arrays) + 2, np.arange(12.0).reshape(2, 6)
+    assert np.array_equal(
+        xp.take(xp.table(table), index).numpy(), NUMPY.take(NUMPY.table(table), NUMPY.whole(values) + 2)
+    )
+    assert xp.table(table) is xp.table(table)  # uploaded once
 
 
 @pytest.mark.skipif(os.name != "posix", reason="mprotect")
