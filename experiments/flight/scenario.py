@@ -50,32 +50,34 @@ def read_columns(
     lines = read_text(Path(file), "a table").lines
     rows = list(csv.reader(line for line in lines if line.strip() and not line.startswith("#")))
     header = [name.strip() for name in rows[0]] if rows else []
-    what = f"{key} = {Path(file).name}"
+    source = f"{key} = {Path(file).name}"
     if missing := [name for name in required if name not in header]:
-        raise DomainError(f"{what}: no column {missing[0]}; required: {', '.join(required)}")
+        raise DomainError(f"{source}: no column {missing[0]}; required: {', '.join(required)}")
     if unknown := [name for name in header if name not in (*required, *optional)]:
-        raise DomainError(f"{what}: column {unknown[0]} is not known; columns are {', '.join((*required, *optional))}")
+        raise DomainError(
+            f"{source}: column {unknown[0]} is not known; columns are {', '.join((*required, *optional))}"
+        )
     try:
         values = np.array([[float(cell) for cell in row] for row in rows[1:]]).reshape(-1, len(header))
     except ValueError:
-        raise DomainError(f"{what}: every row needs {len(header)} numbers, as its head has columns") from None
+        raise DomainError(f"{source}: every row needs {len(header)} numbers, as its head has columns") from None
     table = dict(zip(header, values.T, strict=True))
     first = table[required[0]]
     if len(first) < 2 or not np.isfinite(values).all():
-        raise DomainError(f"{what}: at least two rows of finite numbers are needed")
+        raise DomainError(f"{source}: at least two rows of finite numbers are needed")
     if not (np.diff(first) > 0).all():
         row = int(np.argmax(np.diff(first) <= 0)) + 1
         raise DomainError(
-            f"{what}: {required[0]} = {first[row]:g} in row {row + 1} is not above {first[row - 1]:g} before it; it "
+            f"{source}: {required[0]} = {first[row]:g} in row {row + 1} is not above {first[row - 1]:g} before it; it "
             "has to increase"
         )
     return table
 
 
-def _covers(time_s: FloatArray, end_s: float, what: str) -> None:
+def _covers(time_s: FloatArray, end_s: float, source: str) -> None:
     if time_s[0] > 0.0 or time_s[-1] < end_s:
         raise DomainError(
-            f"{what} runs from {time_s[0]:g} to {time_s[-1]:g} s; the orbit lasts from 0 to {end_s:.0f} s"
+            f"{source} runs from {time_s[0]:g} to {time_s[-1]:g} s; the orbit lasts from 0 to {end_s:.0f} s"
         )
 
 
@@ -273,10 +275,10 @@ def _thermal(config: FlightConfig, orbit: Orbit, view: OrbitView) -> ThermalHist
 
 def _tabulated_temperatures(file: str, period_s: float) -> ThermalHistory:
     table = read_columns(file, "temperature.file", ("time_s", "mean_k"), COMPONENTS[1:])
-    what, time_s = f"temperature.file = {Path(file).name}", table["time_s"]
-    _covers(time_s, period_s, what)
+    source, time_s = f"temperature.file = {Path(file).name}", table["time_s"]
+    _covers(time_s, period_s, source)
     gap, longest = float(np.diff(time_s).max()), LARGEST_GAP_FRACTION * period_s
     if gap > longest:
-        raise DomainError(f"{what}: a gap of {gap:g} s; at most {longest:.0f} s, a twentieth of the orbit")
+        raise DomainError(f"{source}: a gap of {gap:g} s; at most {longest:.0f} s, a twentieth of the orbit")
     columns = [table.get(name, np.zeros(len(time_s))) for name in COMPONENTS]
     return ThermalHistory(time_s=time_s, values_k=np.column_stack(columns))
