@@ -412,14 +412,8 @@ def test_a_votable_whose_data_are_elsewhere(tmp_path):
     path = tmp_path / "remote.vot"
     stars().write(path, format="votable")
     text = path.read_text()
-    path.write_text(
-        re.sub(
-            r"<TABLEDATA>.*</TABLEDATA>",
-            '<BINARY><STREAM href="file:///etc/passwd" encoding="base64"/></BINARY>',
-            text,
-            flags=re.S,
-        )
-    )
+    elsewhere = '<BINARY><STREAM href="file:///etc/passwd" encoding="base64"/></BINARY>'
+    path.write_text(re.sub(r"<TABLEDATA>.*</TABLEDATA>", elsewhere, text, flags=re.S))
     refuses(StarbenchError, "data are in another file", catalogue_of, path)
     path.write_text(text.replace("<VOTABLE", '<!DOCTYPE a [<!ENTITY b "c">]>\n<VOTABLE', 1))
     refuses(StarbenchError, "entities", catalogue_of, path)
