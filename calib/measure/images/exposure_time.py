@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from datetime import time as time_of_day
 from typing import Any
 
 from calib.records import ExposureTime
@@ -22,6 +23,7 @@ _CLOCKS = (
 )  # fmt: skip
 """Cards with the time of day of a start, in a header where DATE-OBS or UT-DATE is a date."""
 _DAYS = ("DATE-BEG", "DATE-OBS", "DATEOBS", "UT-DATE", "UTC-DATE", "OBS-DATE")
+_MIDNIGHT = time_of_day(0)  # Some programs write it where a card of its own has the time of day
 _JULIAN = {"MJD": 0.0, "JD": 2400000.5}
 _SCALES = {
     "UTC": "utc", "UT": "utc", "UT1": "utc", "GMT": "utc", "Z": "utc", "TAI": "tai", "IAT": "tai", "TT": "tt",
@@ -125,11 +127,15 @@ def _instant(cards: Mapping[str, Any], dates: Iterable[str], numbers: Iterable[s
     for card in dates:
         text = str(cards.get(card) or "").strip()
         time, source = _parsed(text), card
-        if time is None or _is_day(text):
+        day = _is_day(text)
+        if day or time is None or time.time() == _MIDNIGHT:
             clocks = () if card in ("DATE-AVG", "DATE-MID", "DATE-END") else _CLOCKS
-            dated = ((_with_clock(time, text, cards.get(clock)), clock) for clock in clocks)
-            time, clock = next(((value, clock) for value, clock in dated if value is not None), (None, ""))
-            source = f"{card} + {clock}" if text else clock
+            dated = ((_with_clock(time, cards.get(clock)), clock) for clock in clocks)
+            combined, clock = next(((value, clock) for value, clock in dated if value is not None), (None, ""))
+            if combined is not None:
+                time, source = combined, f"{card} + {clock}" if text else clock
+            elif day:
+                time = None
         if time is not None:
             return _in_utc(time, scale, source)
     for card in numbers:
@@ -147,7 +153,7 @@ def _is_day(text: str) -> bool:
     return len(text) <= len("2024-05-01") and "T" not in text
 
 
-def _with_clock(day: datetime | None, text: str, clock: Any) -> datetime | None:
+def _with_clock(day: datetime | None, clock: Any) -> datetime | None:
     """A day with a time of day: ``20:10:33.5``, hours, or seconds of the day; a whole date and time by itself."""
     if clock is None or isinstance(clock, bool):
         return None
@@ -182,6 +188,7 @@ def _parsed(text: str) -> datetime | None:
         day, month, year = old.groups()
         text = f"{year if len(year) == 4 else '19' + year}-{month}-{day}"
     text = re.sub(r"\s*(?:UTC|GMT|UT|Z)$", "Z", text.replace("/", "-"), flags=re.IGNORECASE)
+    text = re.sub(r"(?<![\d.,])(\d)(?=[-:T +]|$)", r"0\1", re.sub(r" (?=[-+]\d)", "", text))
     leap = text[16:19] == ":60"
     try:
         time = datetime.fromisoformat(text.replace(":60", ":59", 1) if leap else re.sub(r"\.(?=$|Z|[-+])", "", text))

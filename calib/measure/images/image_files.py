@@ -163,9 +163,9 @@ def _picture(path: Path, plane: int | None) -> StoredPixels:
     from PIL import ExifTags, Image
 
     with Image.open(path) as file:
-        kind = str(file.format)
+        kind = "JPEG" if file.format == "MPO" else str(file.format)
         _check_size(path, *file.size)
-        number = _plane(path, getattr(file, "n_frames", 1), plane)
+        number = _plane(path, 1 if file.format == "MPO" else getattr(file, "n_frames", 1), plane)
         if number:
             file.seek(number)
         exif = file.getexif()

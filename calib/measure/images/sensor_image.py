@@ -238,10 +238,12 @@ def read_image(
     stored = load_pixels(path, hdu=hdu, plane=plane)
     values, header = stored.values, stored.header
     conversion = converter_steps(values, stored.kind)
+    native_step = conversion.step if step is None or step == 1 else float(step)
     if step is not None:
         conversion = replace(conversion, step=float(step))
     full = _number(header, _SATURATION_KEYS) if saturation_dn is None else saturation_dn * conversion.step
-    full = stored.full - stored.full % conversion.step if full is None and stored.full is not None else full
+    if full is None and stored.full is not None:
+        full = min(stored.full - stored.full % conversion.step, conversion.full or np.inf)
     conversion = replace(conversion, full=conversion.full if full is None else full, taken=stored.taken)
     saturated: Any = None if conversion.full is None else values >= conversion.full
     if values.ndim == 3:
@@ -254,8 +256,8 @@ def read_image(
         card, electrons_per_dn = _gain_keyword(header)
         native = _PER_NATIVE_STEP.search(f"{header.get('INSTRUME', '')} {header.get('CAMERA', '')}") is not None
         if electrons_per_dn is not None:
-            gain_dn_per_e = 1.0 / (electrons_per_dn * (1.0 if native else conversion.step))
-            if conversion.step != 1:
+            gain_dn_per_e = (native_step if native else 1.0) / (electrons_per_dn * conversion.step)
+            if native_step != 1:
                 unit = "step of the converter, the habit of ZWO's driver" if native else "stored number"
                 conversion = replace(conversion, gain=f"{card} = {electrons_per_dn:g} e- read per {unit}")
     if offset_dn is None and _OFFSET_KEY in header and "[dn]" in str(header.comments[_OFFSET_KEY]).lower():

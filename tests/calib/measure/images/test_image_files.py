@@ -97,6 +97,17 @@ def test_gain_of_padded_numbers(tmp_path, counts, camera, gain_dn_per_e, said):
     image = read_image(tmp_path / "a.fits")
     assert image.noise.gain_dn_per_e == pytest.approx(gain_dn_per_e)
     assert f"EGAIN = 1.6 e- read {said}" in str(image.conversion)
+    unscaled = read_image(tmp_path / "a.fits", step=1)
+    assert unscaled.noise.gain_dn_per_e == pytest.approx(10.0 * gain_dn_per_e)
+
+
+def test_pictures_of_telephones(tmp_path):
+    """A second image in a JPEG (MPO) is a preview."""
+    first, second = (Image.fromarray(np.full((16, 24), level, np.uint8)) for level in (50, 200))
+    first.save(tmp_path / "a.jpg", "MPO", save_all=True, append_images=[second])
+    image = read_image(tmp_path / "a.jpg")
+    assert np.abs(image.dn - 50.0).max() <= 1.0
+    assert image.conversion.kind == "JPEG"
 
 
 def test_eight_bit_colours_alpha_and_exposure(tmp_path):
