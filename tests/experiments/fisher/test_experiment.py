@@ -10,7 +10,6 @@ import pytest
 from calib.cameras import BrownConrady, SensorGeometry
 from experiments.fisher.accuracy import _angles_per_pixel, check_config
 from experiments.fisher.settings import FisherConfig
-from optics.errors import StarbenchError
 
 
 def test_angle_of_a_pixel_by_focal_length_and_by_the_field(star_camera) -> None:
@@ -29,5 +28,3 @@ def test_angle_of_a_pixel_by_focal_length_and_by_the_field(star_camera) -> None:
 
 def test_defaults_are_accepted_without_rendering() -> None:
     assert check_config(FisherConfig()).pixel_arcsec == pytest.approx(5.5005, abs=1e-3)
-    with pytest.raises(StarbenchError, match=r"evaluation\.columns or evaluation\.rows"):
-        check_config(FisherConfig.model_validate({"evaluation": {"columns": 2, "rows": 2}}))
