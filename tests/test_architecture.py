@@ -219,6 +219,15 @@ def test_only_the_engine_loads_drjit_and_mitsuba_and_sets_the_variant():
     assert not calls_set_variant("'''call set_variant'''  # set_variant")
 
 
+def test_a_class_name_means_one_thing():
+    files = {}
+    for path in FILES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef):
+                files.setdefault(node.name, []).append(label(path))
+    assert {name: where for name, where in files.items() if len(where) > 1} == {}
+
+
 def test_tests_are_no_package_and_files_are_short():
     assert list((ROOT / "tests").rglob("__init__.py")) == []
     lines = {label(path): len(path.read_text(encoding="utf-8").splitlines()) for path in (*FILES, *TESTS)}

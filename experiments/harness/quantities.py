@@ -100,14 +100,14 @@ class Quantities:
         if name in self._values or name in self.coordinates:
             raise DomainError(f"quantity {name!r} is described twice")
         names = tuple(dims.split()) if isinstance(dims, str) else tuple(dims)
-        values, found_error, found_n, found_unit = _split(values)
-        error, n = (found if given is None else given for given, found in ((error, found_error), (n, found_n)))
+        values, own_error, own_n, own_unit = _split(values)
+        error, n = own_error if error is None else error, own_n if n is None else n
         array = np.asarray(values)
         if array.dtype.kind == "U":
             array = array.astype(object)
         if array.ndim != len(names):
             raise DomainError(f"quantity {name!r} has shape {array.shape} for dimensions {' '.join(names) or '(none)'}")
-        attrs: dict[str, Any] = {"long_name": label or name, "units": unit or found_unit, "format": format}
+        attrs: dict[str, Any] = {"long_name": label or name, "units": unit or own_unit, "format": format}
         extra = {part: given for part, given in (("error", error), ("n", n)) if given is not None}
         if extra:
             attrs["ancillary_variables"] = " ".join(f"{name}_{part}" for part in extra)
@@ -117,10 +117,10 @@ class Quantities:
         self._values[name] = (names, array, attrs)
         for part, given in extra.items():
             try:
-                whole = np.broadcast_to(np.asarray(given, dtype=np.float64), array.shape)
+                full = np.broadcast_to(np.asarray(given, dtype=np.float64), array.shape)
             except ValueError as problem:
                 raise DomainError(f"quantity {name!r}: {problem}") from None
-            self._values[f"{name}_{part}"] = (names, whole.copy(), {"ancillary_of": name})
+            self._values[f"{name}_{part}"] = (names, full.copy(), {"ancillary_of": name})
 
 
 def _split(values: Any) -> tuple[Any, Any, Any, str]:
@@ -132,12 +132,14 @@ def _split(values: Any) -> tuple[Any, Any, Any, str]:
         array[()] = values
     else:
         array = np.array(values, dtype=object)
-    if array.size == 0 or not all(isinstance(one, Measured) for one in array.flat):
+    if array.size == 0 or not all(isinstance(member, Measured) for member in array.flat):
         return values, None, None, ""
 
     def part(name: str) -> NDArray[np.float64]:
-        found = [getattr(one, name) for one in array.flat]
-        return np.array([np.nan if v is None else v for v in found], dtype=np.float64).reshape(array.shape)
+        numbers = [getattr(member, name) for member in array.flat]
+        return np.array([np.nan if number is None else number for number in numbers], dtype=np.float64).reshape(
+            array.shape
+        )
 
     error, n = part("uncertainty"), part("n")
     return part("value"), error, n if np.isfinite(n).any() else None, array.flat[0].unit
@@ -160,7 +162,7 @@ class Quantity:
     def of(cls, data: xr.Dataset, name: str) -> Quantity:
         """A variable or coordinate of a data set."""
         if name not in data.variables:
-            raise unknown_name("quantity", name, [str(one) for one in data.variables])
+            raise unknown_name("quantity", name, [str(variable) for variable in data.variables])
         variable = data[name]
         attrs = variable.attrs
         error, n = (data[f"{name}_{part}"].values if f"{name}_{part}" in data else None for part in ("error", "n"))
@@ -206,7 +208,7 @@ class Quantity:
 
 def names_of(data: xr.Dataset) -> list[str]:
     """Names of the quantities of a data set, in order; no coordinates, no ancillary variables."""
-    return [str(name) for name, one in data.data_vars.items() if "ancillary_of" not in one.attrs]
+    return [str(name) for name, variable in data.data_vars.items() if "ancillary_of" not in variable.attrs]
 
 
 def to_results(data: xr.Dataset) -> dict[str, Any]:
@@ -282,8 +284,8 @@ class Outcome:
 
     def name(self, name: str) -> str:
         """SECTION.FIELD of a quantity; the name of a dimension as it is; "" where the result has no such quantity."""
-        if (own := f"{self.section}.{name}") in self.data.variables:
-            return own
+        if (qualified := f"{self.section}.{name}") in self.data.variables:
+            return qualified
         matches = [full for full in names_of(self.data) if name in (full, full.rpartition(".")[2])]
         if len(matches) == 1 or name in self.data.variables:
             return matches[0] if len(matches) == 1 else name
@@ -323,7 +325,7 @@ class Outcome:
     def names(self, dim: str) -> list[str]:
         """Displayed names along a dimension."""
         label = f"{dim}_label"
-        return [str(one) for one in self.data.coords[label if label in self.data.coords else dim].values]
+        return [str(text) for text in self.data.coords[label if label in self.data.coords else dim].values]
 
     def label(self, dim: str, key: Any) -> str:
         """Displayed name of one coordinate of a dimension."""
@@ -338,10 +340,10 @@ class Outcome:
             raise unknown_name(f"dimension of quantity {name!r}:", dim, [str(d) for d in self.data[name].dims])
         if dim not in self.data.coords:
             return int(key)
-        known = self.data.coords[dim].values.tolist()
-        if key not in known:
-            raise unknown_name(f"{dim} of quantity {name!r}:", str(key), [str(one) for one in known])
-        return known.index(key)
+        coordinates = self.data.coords[dim].values.tolist()
+        if key not in coordinates:
+            raise unknown_name(f"{dim} of quantity {name!r}:", str(key), [str(text) for text in coordinates])
+        return coordinates.index(key)
 
 
 def write_netcdf(data: xr.Dataset, path: Path) -> None:

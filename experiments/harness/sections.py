@@ -322,12 +322,12 @@ def agree(
         for measured, who, where in _parts(outcome, name, each, at):
             predicted = outcome.quantity(with_).at(**where) if isinstance(with_, str) else None
             expected = predicted.values if predicted is not None else float(str(with_))
-            errors = [one.error for one in (measured, predicted) if one is not None and one.error is not None]
+            errors = [part.error for part in (measured, predicted) if part is not None and part.error is not None]
             errors += [np.asarray(error)] if error is not None else []
             off = float(outcome.value(slack)) if isinstance(slack, str) else slack
-            variance = sum((np.square(one) for one in errors), np.square(off * expected / PREDICTION_SIGMA))
-            known = np.broadcast_to(~np.isnan(expected + np.sqrt(variance)), measured.values.shape)
-            pulls = ((measured.values - expected) / np.sqrt(variance))[known]
+            variance = sum((np.square(sigma) for sigma in errors), np.square(off * expected / PREDICTION_SIGMA))
+            finite = np.broadcast_to(~np.isnan(expected + np.sqrt(variance)), measured.values.shape)
+            pulls = ((measured.values - expected) / np.sqrt(variance))[finite]
             part_of = outcome.quantity(of).at(**where).values if isinstance(of, str) else of
             limit = two_sided_limit(max(pulls.size, 1), false_alarm)
             worst = float(np.abs(pulls).max()) if pulls.size else float("nan")
@@ -344,7 +344,7 @@ def agree(
                     false_alarm=false_alarm,
                     chance=chance_of(worst, pulls.size),
                     notices=_noticed(
-                        limit, np.sqrt(variance), np.abs(expected if part_of is None else part_of), known, square
+                        limit, np.sqrt(variance), np.abs(expected if part_of is None else part_of), finite, square
                     ),
                 )
             )
@@ -353,11 +353,11 @@ def agree(
     return _named(judge, name, with_, of)
 
 
-def _noticed(limit: float, sigma: Any, whole: Any, known: Any, square: bool) -> float | None:
+def _noticed(limit: float, sigma: Any, total: Any, finite: Any, square: bool) -> float | None:
     """Relative error that is noticed; None where there is nothing that an error is a part of."""
-    sigma, whole = (np.broadcast_to(one, known.shape)[known] for one in (sigma, whole))
-    there = whole > 0.0
-    return _of_root(noticed(limit, sigma[there] / whole[there]), square) if np.any(there) else None
+    sigma, total = (np.broadcast_to(values, finite.shape)[finite] for values in (sigma, total))
+    positive = total > 0.0
+    return _of_root(noticed(limit, sigma[positive] / total[positive]), square) if np.any(positive) else None
 
 
 def _of_root(error: float, square: bool) -> float:
@@ -467,7 +467,7 @@ def _words(advice: Advice, outcome: Outcome) -> str:
 
 
 def _named(judge: Any, *names: str | float | None) -> Verdict:
-    judge.names = tuple(one for one in names if isinstance(one, str))
+    judge.names = tuple(name for name in names if isinstance(name, str))
     verdict: Verdict = judge
     return verdict
 
@@ -480,10 +480,10 @@ def _parts(
         return
     fixed: dict[str, int] = {}
     for dim, key in (at or {}).items():
-        known = outcome.data.coords[dim].values.tolist() if dim in outcome.data.coords else []
-        if not isinstance(key, int) and key not in known:
+        coordinates = outcome.data.coords[dim].values.tolist() if dim in outcome.data.coords else []
+        if not isinstance(key, int) and key not in coordinates:
             return
-        fixed[dim] = key if isinstance(key, int) else known.index(key)
+        fixed[dim] = key if isinstance(key, int) else coordinates.index(key)
     for position in range(outcome.data.sizes[each]) if each else [None]:
         here = fixed | ({} if position is None else {each: position})
         called = ", ".join(outcome.names(dim)[n] for dim, n in here.items())

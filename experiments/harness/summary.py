@@ -86,8 +86,8 @@ def percent(part: float | None) -> str:
 
 def farthest_from_one(ratios: Any) -> float:
     """The ratio farthest from 1, the value of a criterion about 1; NaN if any ratio is NaN."""
-    found = np.ravel(ratios)
-    return float(found[np.argmax(np.abs(found - 1.0))])
+    flat = np.ravel(ratios)
+    return float(flat[np.argmax(np.abs(flat - 1.0))])
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,19 +119,19 @@ def verdict_line(criteria: Sequence[Criterion], judged: str = "simulation") -> s
     """
     if not criteria:
         return "No criteria were set."
-    failed, too_small = (sum(one.passed is state for one in criteria) for state in (False, None))
+    failed, too_small = (sum(criterion.passed is state for criterion in criteria) for state in (False, None))
     count = len(criteria) - too_small
     small = f"the sample is too small to reveal an error of {100 * NOTICED_PART:.0f} %"
     if count == 0:
         return f"The {judged} is not judged: {small}."
-    left = f"; {too_small} not judged: {small}" if too_small else ""
+    unjudged = f"; {too_small} not judged: {small}" if too_small else ""
     if count == 1:
         holds = "does not hold" if failed else "holds"
-        return f"The {judged} is {'not ' if failed else ''}consistent: the criterion {holds}{left}."
+        return f"The {judged} is {'not ' if failed else ''}consistent: the criterion {holds}{unjudged}."
     if failed == 0:
-        return f"The {judged} is consistent: all {count} criteria hold{left}."
+        return f"The {judged} is consistent: all {count} criteria hold{unjudged}."
     not_so = f"{failed} of {count} criteria {'does' if failed == 1 else 'do'} not hold"
-    return f"The {judged} is not consistent: {not_so}{left}."
+    return f"The {judged} is not consistent: {not_so}{unjudged}."
 
 
 def criteria_lines(criteria: Sequence[Criterion], width: int = 80) -> list[str]:
@@ -140,14 +140,16 @@ def criteria_lines(criteria: Sequence[Criterion], width: int = 80) -> list[str]:
         return []
     holds = {True: "yes", False: "NO", None: "–"}
     lines = ["Criteria"]
-    for one in criteria:
-        lines += textwrap.wrap(one.name, width, initial_indent=f"{holds[one.passed]:<5}", subsequent_indent=5 * " ")
-        number = f"{one.value:.4g} ({one.demand}){f' {one.unit}' if one.unit else ''}"
-        power = {"false alarm": percent(one.false_alarm), "notices": percent(one.notices)}
-        told = ", ".join(f"{name} {text}" for name, text in power.items() if text)
-        numbers = f"     {number:<38} {told}".rstrip()
-        lines += [numbers] if len(numbers) <= width else [f"     {number}", f"     {told}"]
-    note = CRITERIA_NOTE if any(one.false_alarm is not None for one in criteria) else ""
+    for criterion in criteria:
+        lines += textwrap.wrap(
+            criterion.name, width, initial_indent=f"{holds[criterion.passed]:<5}", subsequent_indent=5 * " "
+        )
+        number = f"{criterion.value:.4g} ({criterion.demand}){f' {criterion.unit}' if criterion.unit else ''}"
+        rates = {"false alarm": percent(criterion.false_alarm), "notices": percent(criterion.notices)}
+        power = ", ".join(f"{name} {text}" for name, text in rates.items() if text)
+        numbers = f"     {number:<38} {power}".rstrip()
+        lines += [numbers] if len(numbers) <= width else [f"     {number}", f"     {power}"]
+    note = CRITERIA_NOTE if any(criterion.false_alarm is not None for criterion in criteria) else ""
     return lines + textwrap.wrap(note, width)
 
 
@@ -175,7 +177,7 @@ def summary(
                 "passed": criterion.passed,
             }
             | ({} if criterion.about is None else {"about": to_json(criterion.about)})
-            | {key: to_json(one) for key in _NOISE if (one := getattr(criterion, key)) is not None}
+            | {key: to_json(number) for key in _NOISE if (number := getattr(criterion, key)) is not None}
             | ({"advice": criterion.advice} if criterion.failed and criterion.advice else {})
             for criterion in criteria
         ],
