@@ -389,7 +389,7 @@ def test_the_printed_table_implies_the_pixel(from_table2):
     assert np.deg2rad(26.64 / 3600) * 25.6 / 0.51 * 1e3 == pytest.approx(pixel.value, abs=3 * pixel.uncertainty)
     assert pixel.uncertainty < 0.4
     assert from_table2.chi2 < 30.0 < from_table2.chi2_at_assumed_pixel
-    assert from_table2.stars_per_frame_range[0] < from_table2.stars < from_table2.stars_per_frame_range[1]
+    assert from_table2.stars_per_frame_range[0] < from_table2.stars_per_frame < from_table2.stars_per_frame_range[1]
 
 
 @pytest.mark.slow
