@@ -59,12 +59,12 @@ def calibrate_mask_sensor(
     reading_rad: FloatArray,
     table: TableAxes,
     *,
-    free_lean: bool = False,
+    fit_non_orthogonality: bool = False,
 ) -> MaskSensorCalibration:
     """Joint fit to the spots (n, 2) [px] of all positions of the table, with its readings (n, 2) [rad].
 
     ``gap_mm`` is the start of the distance from mask to detector. The axes of the table are taken as orthogonal;
-    ``free_lean``: their non-orthogonality is fitted. `ConvergenceError` if the spots do not determine the sensor.
+    with ``fit_non_orthogonality`` the angle is fitted. `ConvergenceError` if the spots do not determine the sensor.
     """
     nominal = table.nominal
     count = len(pixel_px)
@@ -75,7 +75,7 @@ def calibrate_mask_sensor(
         sigma_px=CENTROID_SIGMA_PX,
     )
     errors = TableErrors()
-    if free_lean:
+    if fit_non_orthogonality:
         errors = TableErrors(axis_rate=nominal.lean_rates(reading_rad), axis_names=(LEAN_NAME,))
     calibration = calibrate(
         observations,
@@ -120,7 +120,7 @@ def _packed(
 
 
 def mask_sensor_noise(
-    table: TableAxes, angle_rad: FloatArray, spot_px2: FloatArray, per_rad_px: float, *, free_lean: bool
+    table: TableAxes, angle_rad: FloatArray, spot_px2: FloatArray, per_rad_px: float, *, fit_non_orthogonality: bool
 ) -> FloatArray:
     """Covariance (3, 3) of what R_sr, and a fitted squareness, do to R_sp: rotation vector in the cube frame [rad^2].
 
@@ -137,7 +137,7 @@ def mask_sensor_noise(
 
     by_value = [
         (spots(start + step * unit, angle_rad) - spots(start - step * unit, angle_rad)) / (2 * step)
-        for unit in np.eye(7)[: 7 if free_lean else 6]
+        for unit in np.eye(7)[: 7 if fit_non_orthogonality else 6]
     ]
     to_value = np.linalg.pinv(np.stack(by_value, axis=-1).reshape(2 * len(angle_rad), -1))
     noise = np.diag(np.repeat(spot_px2, 2))
@@ -147,7 +147,7 @@ def mask_sensor_noise(
             noise[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += np.outer(pair, pair)
     covariance = to_value @ noise @ to_value.T
     # a squareness that is assumed too large turns R_pr about z: the second face takes all of it
-    effect = np.column_stack([-NOMINAL_CUBE, [0.0, 0.0, -1.0]]) if free_lean else -NOMINAL_CUBE
+    effect = np.column_stack([-NOMINAL_CUBE, [0.0, 0.0, -1.0]]) if fit_non_orthogonality else -NOMINAL_CUBE
     return np.asarray(effect @ covariance[3:, 3:] @ effect.T)
 
 

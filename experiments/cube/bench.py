@@ -81,10 +81,10 @@ class CubeCase:
     non_orthogonal: bool = False  # Axes of the table
     mounting: bool = False  # Movement of the camera mount
     reading: bool = False  # Noise of the angle readings
-    # Trims from a spot set by eye, in steps of the table, with the gain of the operator, until the stop rule holds;
-    # otherwise the table is continuous, starts trimmed, and makes one correction
+    # Adjusted from a spot set by eye, in steps of the table, with the operator's gain, until the stopping criterion
+    # holds; otherwise the table is continuous, starts trimmed, and makes one correction
     coarse: bool = False
-    # Aperture and spot from a single picture, remaining offset subtracted, squareness of the axes from the joint fit
+    # Aperture and spot from a single picture, remaining offset subtracted, non-orthogonality of the axes fitted jointly
     # with the sun sensor
     improved: bool = False
     pictures_of: str = ""  # Case whose pictures and readings are reduced; "" for pictures of this case

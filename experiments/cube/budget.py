@@ -1,18 +1,19 @@
-"""The error budget per term and axis, predicted by geometry without pictures, compared with CUBE09's eq. 13 and 14.
+"""Error budget per term and axis, predicted by geometry without pictures, compared with CUBE09's eq. 13 and 14.
 
+R_pr turns the table frame into that of the cube, R_sr into that of the sun sensor; the result is R_sp = R_pr R_sr^-1 (eq. 11).
 Eq. 14 adds four numbers as if each acted on every axis. In fact R_pr gets its x and y from the first face and its z
-from the second, one component each, so that an error of a normal across one direction is an error of one axis. Per
-axis:
+from the second, so that an error of a face's normal in one direction is an error about one axis. Per axis:
 
 * one pixel: arctan(pixel / distance) / 2 on every axis (eq. 13);
-* trim: the remainder of the stop rule, simulated with the operator's gain and the table's steps;
+* trim: offset that remains when the autocollimation adjustment stops, simulated with the operator's gain and the
+  table's steps;
 * non-orthogonal axes: none on x and y; on z the full angle on the second face minus the effect on the sun sensor,
-  which was calibrated on the same table: from the reduction of exact positions;
+  which was calibrated on the same table: computed by reducing exact positions;
 * camera mount: on every axis;
 * reading: the outer axis on x and z, the inner one on y.
 
-Terms missing in eq. 14, sun sensor and pictures, follow from the noise of their detectors (`experiments.cube.noise`):
-no fitted or measured value enters a prediction.
+Eq. 14 omits the noise of the sun sensor and of the pictures; it follows from their detectors
+(`experiments.cube.noise`). No fitted or measured value enters a prediction.
 """
 
 from __future__ import annotations
@@ -61,12 +62,16 @@ from render.engine.random import Streams
 PUBLISHED_ARCSEC = {"pixel": 2.34, "square": 2.0, "mounting": 2.0, "reading": 0.4, "all": 3.69}
 """CUBE09 as printed; its 2.34 comes from 65000 um for 650 mm and should be 2.38."""
 
-CLAIMED_ARCSEC = {"procedure": 4.0, "improved": 1.0}
-"""Limit of R_sp: CUBE09 as performed; and with the improved reduction of the same pictures."""
+SPECIFIED_ARCSEC = {"procedure": 4.0, "improved": 1.0}
+"""Accuracy of R_sp, 1 sigma per axis: CUBE09's claim as performed; with the improved reduction of its pictures."""
 FEW_BENCHES = 100
-"""Number of benches below which the limits are widened by the sampling error."""
+"""Number of benches below which the limits are widened by the sampling error of an RMS."""
 
-SIMULATED_TRIMS = 40000
+SIMULATED_ADJUSTMENTS = 40000
+RATE_STEP_ARCSEC = 10.0
+"""Size of the perturbation whose effect on R_sp, divided by it, is a sensitivity."""
+ACTING_FRACTION = 1 / 3
+"""Fraction of the prediction from which on a term is judged on an axis."""
 
 PICTURES_RELATIVE = 1.0
 """Relative error of the predicted noise of the Monte-Carlo's pictures: the line of a spoke is fitted to some thirty
@@ -89,22 +94,22 @@ class BudgetRow:
     term: str = col("Name", shown=False)
     label: str = col("Term", shown=False)
     published_arcsec: float = col("CUBE09", "arcsec", ".2f")  # NaN: not published
-    # With the noise of pictures and sun sensor; uncertainty: of the prediction
+    # Term and noise of pictures and sun sensor; the uncertainty is the prediction's
     predicted: Sequence[Measured] = col("Predicted", "arcsec", ".2f", "axis")
-    # By geometry, without this noise
+    # Term by geometry, without the noise of pictures and sun sensor
     predicted_term_alone: Sequence[Measured] = col("alone", "arcsec", ".2f", "axis", shown=False)
     measured: Sequence[Measured] = col("Measured", "arcsec", dims="axis")
     # Axes on which the term is at least a third of the prediction
     acts_on: NDArray[np.bool_] = col("Acts on", dims="axis", shown=False)
-    # Root sums of squares over these axes
+    # Ratio of root sums of squares over the axes on which the term acts
     predicted_over_measured: Measured = col("Ratio", format=".3f")
-    # With fewer than `FEW_BENCHES`: widened by three standard deviations
-    claim_limit_arcsec: float = col("Claim plus sampling error of the benches", "arcsec", shown=False)
-    claim_arcsec: float = col("Claimed", "arcsec", shown=False)
+    # Specified accuracy; below `FEW_BENCHES` benches widened by three standard deviations of an RMS
+    test_limit_arcsec: float = col("Specified accuracy plus sampling error of the benches", "arcsec", shown=False)
+    specified_arcsec: float = col("Specified accuracy", "arcsec", shown=False)
 
 
 def trim_remainder_px(config: CubeMirrorConfig, tilt_per_px: float, noise_px: float, streams: Streams) -> FloatArray:
-    """RMS of the offset [px] after the stop rule, x and y: simulated without pictures."""
+    """RMS of the offset [px], x and y, at which the adjustment stops: simulated without pictures."""
     trim = config.trim
     return trimmed_offset_px(
         trim.start_px,
@@ -113,23 +118,23 @@ def trim_remainder_px(config: CubeMirrorConfig, tilt_per_px: float, noise_px: fl
         stop_px=trim.stop_px,
         gain=trim.gain_ratio,
         settings=trim.allowed,
-        count=SIMULATED_TRIMS,
+        count=SIMULATED_ADJUSTMENTS,
         rng=streams.generator("played trims"),
     )
 
 
 def perfect_bench(config: CubeMirrorConfig, sensor: MaskSensor) -> TrueBench:
     """A bench without any misalignment."""
-    none = np.zeros((len(config.cube.faces), config.cube.repeats, 2))
+    zero = np.zeros((len(config.cube.faces), config.cube.repeats, 2))
     return TrueBench(
         number=0,
         table_from_cube=NOMINAL_CUBE,
         normal=SQUARE,
         sensor_from_table=np.eye(3),
         sensor=sensor,
-        start=none,
-        aim=none,
-        mounting=none,
+        start=zero,
+        aim=zero,
+        mounting=zero,
         non_orthogonality=0.0,
     )
 
@@ -148,7 +153,7 @@ def geometric_error(
     sun = np.array([*slopes, 1.0]) / np.sqrt(1.0 + slopes @ slopes)
     angle = field_angles(config)
     spots = sensor.spot_px(table.rotation(angle).inv().apply(sun))
-    calibrated = fit_sensor(config, spots, angle, table, sensor, free_squareness=False)
+    calibrated = fit_sensor(config, spots, angle, table, sensor, fit_non_orthogonality=False)
     first = config.cube.faces[0]
     faces = [first, next(face for face in config.cube.faces if face[1] != first[1])]
     trimmed = [concentric_angles(table, truth.normal_in_table(f), face_start_rad(f), sun) for f in faces]
@@ -159,35 +164,36 @@ def geometric_error(
     return rotation_error_rad(cube.rotation * calibrated.rotation.inv(), true) * RAD_ARCSEC
 
 
-def squareness_rates(config: CubeMirrorConfig, sensor: MaskSensor) -> FloatArray:
-    """Error of R_sp (3,) per unit of the axes' non-orthogonality."""
-    return geometric_error(config, sensor, non_orthogonality_arcsec=10.0) / 10.0
+def non_orthogonality_rates(config: CubeMirrorConfig, sensor: MaskSensor) -> FloatArray:
+    """Error of R_sp (3,) per unit of the axes' non-orthogonality, by a finite difference."""
+    return geometric_error(config, sensor, non_orthogonality_arcsec=RATE_STEP_ARCSEC) / RATE_STEP_ARCSEC
 
 
 def beam_rates(config: CubeMirrorConfig, sensor: MaskSensor) -> FloatArray:
     """Error of R_sp (3, 2) per unit of the beam's angle to the table's Z axis, in x and in y."""
-    errors = [geometric_error(config, sensor, beam_arcsec=beam) for beam in ((10.0, 0.0), (0.0, 10.0))]
-    return np.column_stack(errors) / 10.0
+    errors = [
+        geometric_error(config, sensor, beam_arcsec=beam) for beam in ((RATE_STEP_ARCSEC, 0.0), (0.0, RATE_STEP_ARCSEC))
+    ]
+    return np.column_stack(errors) / RATE_STEP_ARCSEC
 
 
-def terms(laboratory: CubeLaboratory, sensor: MaskSensor, trim_px: FloatArray) -> dict[str, FloatArray]:
+def predict_terms(laboratory: CubeLaboratory, sensor: MaskSensor, trim_px: FloatArray) -> dict[str, FloatArray]:
     """Prediction of each term by geometry, per axis of the cube frame [arcsec]."""
-    config, repeats = laboratory.config, np.sqrt(laboratory.config.cube.repeats)
+    config = laboratory.config
     pixel = eq13_arcsec(laboratory)
-    every_axis = np.ones(3) / repeats
+    every_axis = np.ones(3) / np.sqrt(config.cube.repeats)
     return {
         "pixel": pixel * every_axis,
         # x and z come from the offset in y (outer axis), y from the offset in x
         "trim": pixel * trim_px[[1, 0, 1]] * every_axis,
-        "square": np.abs(squareness_rates(config, sensor)) * config.table.square_arcsec,
+        "square": np.abs(non_orthogonality_rates(config, sensor)) * config.table.square_arcsec,
         "mounting": config.camera.mounting_arcsec * every_axis,
         "reading": reading_term(config.table.outer_reading_arcsec, config.table.inner_reading_arcsec) * every_axis,
     }
 
 
 def reading_term(outer_arcsec: float, inner_arcsec: float) -> FloatArray:
-    """Effect of readings of both faces (3,): the outer axis acts on x (first face) and z (second), the inner one on
-    y."""
+    """Effect (3,) of the readings at both faces: outer axis on x (first face) and z (second), inner axis on y."""
     return np.array([outer_arcsec, inner_arcsec, outer_arcsec])
 
 
@@ -196,15 +202,16 @@ def build_budget(
 ) -> list[BudgetRow]:
     """All lines of the budget."""
     trim_px = trim_remainder_px(laboratory.config, laboratory.tilt_per_px, pictures.two_pictures_px, laboratory.streams)
-    single = terms(laboratory, perfect_sensor(laboratory), trim_px)
-    return [_budget_row(laboratory, result, single, pictures) for result in cases.values()]
+    term_arcsec = predict_terms(laboratory, perfect_sensor(laboratory), trim_px)
+    return [_budget_row(laboratory, result, term_arcsec, pictures) for result in cases.values()]
 
 
 def _budget_row(
-    laboratory: CubeLaboratory, result: CaseResult, single: Mapping[str, FloatArray], pictures: PictureNoise
+    laboratory: CubeLaboratory, result: CaseResult, term_arcsec: Mapping[str, FloatArray], pictures: PictureNoise
 ) -> BudgetRow:
     """A case: its active terms, with the noise of pictures and sun sensor, against the errors of its benches."""
-    case, count = result.case, len(result.bench)
+    case = result.case
+    count = len(result.bench)
     active = {
         "pixel": case.aim_px > 0,
         "trim": case.coarse and not case.improved,
@@ -212,19 +219,20 @@ def _budget_row(
         "mounting": case.mounting and not case.improved,
         "reading": case.reading,
     }
-    term = root_sum_square([single[key] for key, on in active.items() if on], axes=3)
-    picture, sensor = _noise(laboratory, case, pictures)
+    term = root_sum_square([term_arcsec[key] for key, on in active.items() if on], axes=3)
+    picture, sensor = _noise_arcsec(laboratory, case, pictures)
     predicted = root_sum_square([term, picture, sensor])
+    # predicted = sqrt(sum a^2), so that sigma(predicted) = sqrt(sum (a sigma(a))^2) / predicted
     prediction_error = np.hypot(PICTURES_RELATIVE * picture**2, SENSOR_RELATIVE * sensor**2) / predicted
-    stratified = [single[key] for key in STRATIFIED if active[key]]
-    acts_on = term > predicted / 3
+    stratified = [term_arcsec[key] for key in STRATIFIED if active[key]]
+    acts_on = term > predicted * ACTING_FRACTION
     if case.improved or not acts_on.any():  # noise dominates on every axis
         acts_on = np.ones(3, bool)
     rms = result.rms_arcsec
     error = rms_uncertainty(rms, stratified, predicted, draws=count)
     widening = 1.0 if count >= FEW_BENCHES else 1.0 + 3.0 / float(np.sqrt(2 * count))
     ratio = ratio_of_lengths(predicted[acts_on], prediction_error[acts_on], rms[acts_on], error[acts_on])
-    claim_arcsec = CLAIMED_ARCSEC.get(case.name, np.nan)
+    specified_arcsec = SPECIFIED_ARCSEC.get(case.name, np.nan)
     return BudgetRow(
         term=case.name,
         label=case.label,
@@ -234,8 +242,8 @@ def _budget_row(
         measured=measured(rms, error, count),
         acts_on=acts_on,
         predicted_over_measured=Measured(value=ratio[0], uncertainty=ratio[1]),
-        claim_limit_arcsec=claim_arcsec * widening,
-        claim_arcsec=claim_arcsec,
+        test_limit_arcsec=specified_arcsec * widening,
+        specified_arcsec=specified_arcsec,
     )
 
 
@@ -244,9 +252,9 @@ def perfect_sensor(laboratory: CubeLaboratory) -> MaskSensor:
     return mask_sensor(laboratory.config, laboratory.sensor_detector, np.zeros(3))
 
 
-def _noise(laboratory: CubeLaboratory, case: CubeCase, pictures: PictureNoise) -> tuple[FloatArray, FloatArray]:
-    """Noise by pictures and by the sun sensor, (3,) each [arcsec]; coarse trims have it in the stop rule."""
-    covariance = sensor_noise(laboratory, reading=case.reading, free_squareness=case.improved).covariance_rad2
+def _noise_arcsec(laboratory: CubeLaboratory, case: CubeCase, pictures: PictureNoise) -> tuple[FloatArray, FloatArray]:
+    """Noise by pictures and by the sun sensor, (3,) each [arcsec]; for a coarse adjustment, the term "trim" has it."""
+    covariance = sensor_noise(laboratory, reading=case.reading, fit_non_orthogonality=case.improved).covariance_rad2
     sensor = np.sqrt(np.diag(covariance)) * RAD_ARCSEC
     if case.coarse and not case.improved:
         return np.zeros(3), sensor
@@ -271,11 +279,11 @@ def _axes(q: Quantities, rows: Sequence[BudgetRow]) -> None:
     q.axis("row", np.arange(len(rows)) + 1, "Term", names=[row.label for row in rows])
 
 
-def _claim(name: str, title: str) -> Any:
+def _accuracy_verdict(name: str, title: str) -> Any:
     at = {"row": [case.name for case in CASES].index(name)}
     advice = "see the budget for the largest term"
-    whole = "budget.claim_arcsec"
-    return below("budget.measured", "budget.claim_limit_arcsec", at=at, whole=whole, title=title, advice=advice)
+    specified = "budget.specified_arcsec"
+    return below("budget.measured", "budget.test_limit_arcsec", at=at, whole=specified, title=title, advice=advice)
 
 
 BUDGET = Section(
@@ -305,7 +313,7 @@ BUDGET = Section(
             slack=0.15,
             title="error of R_sp term by term, predicted over measured",
         ),
-        _claim("procedure", "R_sp, worst axis (CUBE09: better than 4 arcsec)"),
-        _claim("improved", "R_sp, worst axis (below 1 arcsec)"),
+        _accuracy_verdict("procedure", "R_sp, worst axis (CUBE09: better than 4 arcsec)"),
+        _accuracy_verdict("improved", "R_sp, worst axis (below 1 arcsec)"),
     ],
 )

@@ -23,8 +23,8 @@ from experiments.cube.budget import (
     build_budget,
     eq13_arcsec,
     eq14_arcsec,
+    non_orthogonality_rates,
     perfect_sensor,
-    squareness_rates,
 )
 from experiments.cube.montecarlo import CASES, BenchResult, CaseResult, SensorCache, run_bench, run_cases
 from experiments.cube.noise import PictureNoise, picture_noise, sensor_noise
@@ -52,20 +52,23 @@ class CubeSetup:
     r_sp_error_improved_arcsec: Sequence[Measured] = col("R_sp, improved reduction", "arcsec", dims="axis")
     eq13_arcsec: float = col("Eq. 13", "arcsec", ".2f")
     eq14_arcsec: float = col("Eq. 14", "arcsec", ".2f")
-    benches: int = col("CaseErrors")
+    benches: int = col("Benches")
     settings_per_face: float = col("Settings per face", format=".1f")
     pitch_um: float = col("Pixel on the screen", "um", "g")
     spot_mm: float = col("Width of the spot", "mm", ".2f")
     rim_mm: float = col("Rim of the spot", "mm", ".2f")
-    error_per_squareness: FloatArray = col("Error of R_sp per squareness", dims="component")
+    error_per_non_orthogonality: FloatArray = col("Error of R_sp per non-orthogonality", dims="component")
     error_per_beam_x: FloatArray = col("Error of R_sp per beam in x", dims="component")
     error_per_beam_y: FloatArray = col("Error of R_sp per beam in y", dims="component")
 
 
 def setup(laboratory: CubeLaboratory, cases: Mapping[str, CaseResult], rows: Sequence[BudgetRow]) -> CubeSetup:
     """Results of all benches, and sizes of the bench."""
-    geometry, sensor, by_name = laboratory.geometry, perfect_sensor(laboratory), {row.term: row for row in rows}
-    rim, beam = geometry.blur_mm(geometry.path_mm), beam_rates(laboratory.config, sensor)
+    geometry = laboratory.geometry
+    sensor = perfect_sensor(laboratory)
+    rim_mm = geometry.blur_mm(geometry.path_mm)
+    per_beam = beam_rates(laboratory.config, sensor)
+    by_name = {row.term: row for row in rows}
     return CubeSetup(
         r_sp_error_arcsec=by_name["procedure"].measured,
         r_sp_error_improved_arcsec=by_name["improved"].measured,
@@ -74,11 +77,11 @@ def setup(laboratory: CubeLaboratory, cases: Mapping[str, CaseResult], rows: Seq
         benches=laboratory.config.benches.count,
         settings_per_face=float(cases["procedure"].trims.mean()),
         pitch_um=laboratory.pitch_mm * 1e3,
-        spot_mm=geometry.aperture_mm + 2 * rim,
-        rim_mm=rim,
-        error_per_squareness=squareness_rates(laboratory.config, sensor),
-        error_per_beam_x=beam[:, 0],
-        error_per_beam_y=beam[:, 1],
+        spot_mm=geometry.aperture_mm + 2 * rim_mm,
+        rim_mm=rim_mm,
+        error_per_non_orthogonality=non_orthogonality_rates(laboratory.config, sensor),
+        error_per_beam_x=per_beam[:, 0],
+        error_per_beam_y=per_beam[:, 1],
     )
 
 
@@ -86,7 +89,7 @@ def setup(laboratory: CubeLaboratory, cases: Mapping[str, CaseResult], rows: Seq
 class CaseErrors:
     """Error of R_sp, bench by bench, in a case."""
 
-    name: str = col("CubeCase")
+    name: str = col("Case")
     mean_error_arcsec: Sequence[Measured] = col("Mean error of R_sp", "arcsec", dims="axis", shown=False)
     error_arcsec: FloatArray = col("Error", "arcsec", dims="bench axis")
     settings_first_face: Sequence[int] = col("Settings, first face", dims="bench")
@@ -107,30 +110,31 @@ def case_errors(case: CaseResult) -> CaseErrors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CubeNoise:
-    """Errors of R_sr on all benches, on a square table, and the scatter of pictures."""
+    """Errors of R_sr on all benches with orthogonal table axes, and noise of an offset measured in pictures."""
 
     r_sr_predicted_arcsec: Sequence[Measured] = col("Error of R_sr, predicted", "arcsec", dims="axis")
     r_sr_mean_error_arcsec: Sequence[Measured] = col("Mean error of R_sr", "arcsec", dims="axis")
     r_sr_error_over_stated: FloatArray = col("Error of R_sr over the stated one", dims="axis")
     r_sr_error_over_predicted: Measured = col("Error of R_sr over predicted, RMS")
     spot_noise_predicted_px: float = col("Scatter of the spots, predicted", "px", ".4f")
-    # With the particles of the rendering, and by the detector alone
+    # By the detector and by the finite number of rendered particles
     picture_noise_px: Sequence[Measured] = col("Scatter of an offset, predicted", "px", dims="reduced")
     detector_noise_px: Sequence[Measured] = col(
         "Scatter of an offset by the detector alone, predicted", "px", dims="reduced"
     )
-    squareness_sigma_arcsec: float = col("Standard deviation of the squareness", "arcsec", ".2f")
+    non_orthogonality_sigma_arcsec: float = col("Standard deviation of the fitted non-orthogonality", "arcsec", ".2f")
     r_sr_improved_arcsec: FloatArray = col("Part of R_sr, improved reduction", "arcsec", ".2f", "axis")
 
 
 def noise(laboratory: CubeLaboratory, cases: Mapping[str, CaseResult], pictures: PictureNoise) -> CubeNoise:
     """Prediction against the errors of all benches."""
     reading, improved = cases["reading"], cases["improved"]
-    predicted = sensor_noise(laboratory, reading=True, free_squareness=False)
+    predicted = sensor_noise(laboratory, reading=True, fit_non_orthogonality=False)
     sigma = np.sqrt(np.diag(predicted.covariance_rad2)) * RAD_ARCSEC
     pull = np.array([bench.sensor_error_arcsec for bench in reading.bench]) / sigma
     picture = np.array([pictures.two_pictures_px, pictures.one_picture_px])
     detector = np.array([pictures.two_pictures_detector_px, pictures.one_picture_detector_px])
+    lean_sigma_rad = [bench.sensor.lean_sigma_rad for bench in improved.bench]
     return CubeNoise(
         r_sr_predicted_arcsec=measured(sigma, SENSOR_RELATIVE * sigma),
         r_sr_mean_error_arcsec=measured(*reading.sensor_mean_arcsec, len(reading.bench)),
@@ -141,7 +145,7 @@ def noise(laboratory: CubeLaboratory, cases: Mapping[str, CaseResult], pictures:
         spot_noise_predicted_px=predicted.spot_px,
         picture_noise_px=measured(picture, PICTURES_RELATIVE * picture),
         detector_noise_px=measured(detector, DETECTOR_RELATIVE * detector),
-        squareness_sigma_arcsec=float(np.mean([bench.sensor.lean_sigma_rad for bench in improved.bench])) * RAD_ARCSEC,
+        non_orthogonality_sigma_arcsec=float(np.mean(lean_sigma_rad)) * RAD_ARCSEC,
         r_sr_improved_arcsec=improved.sensor_rms_arcsec,
     )
 

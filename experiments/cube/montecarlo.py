@@ -35,8 +35,8 @@ from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD, RAD_ARCSEC
 
 CASES = (
-    CubeCase(name="pixel", label="trim error of one pixel (eq. 13)", aim_px=1.0),
-    CubeCase(name="trim", label="stop rule", coarse=True),
+    CubeCase(name="pixel", label="adjustment error of one pixel (eq. 13)", aim_px=1.0),
+    CubeCase(name="trim", label="stopping criterion", coarse=True),
     CubeCase(name="square", label="non-orthogonal axes", non_orthogonal=True),
     CubeCase(name="mounting", label="camera mount", mounting=True),
     CubeCase(name="reading", label="angle reading", reading=True),
@@ -53,7 +53,7 @@ CASES = (
         pictures_of="procedure",
     ),
 )
-"""Single terms, all terms as eq. 14 adds them, the procedure with its stop rule, and an improved reduction."""
+"""Single terms, all terms as eq. 14 adds them, the procedure with its stopping criterion, and an improved reduction."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,7 +63,7 @@ class BenchResult:
     error_arcsec: FloatArray  # (3,) Of R_sp
     cube_error_arcsec: FloatArray  # (3,) Contribution of R_pr
     sensor_error_arcsec: FloatArray  # (3,) Contribution of R_sr
-    # (3,) Stated standard deviation of this contribution; with the squareness of the axes if it is fitted
+    # (3,) Stated standard deviation of this contribution; includes the non-orthogonality of the axes if it is fitted
     sensor_sigma_arcsec: FloatArray
     face_angle_rad: float  # Between the first two faces, measured
     true_face_angle_rad: float
@@ -104,7 +104,7 @@ def reduce_bench(
     cube = solve_cube(config, truth, [trim.face for trim in trims], np.array(normals), np.array(covariances))
     rotation, covariance = sensor_to_cube(cube, sensor.rotation, sensor.covariance_rad2)
     if sensor.lean_sigma_rad > 0:
-        rate = _squareness_rate(config, truth, fitted_table, trims)
+        rate = _non_orthogonality_rate(config, truth, fitted_table, trims)
         covariance = covariance + lean_covariance(rate, rotation, sensor.lean_sigma_rad, sensor.lean_cross_rad2)
     true_cube = Rotation.from_matrix(truth.cube_from_table(config.cube.faces))
     true_sensor = Rotation.from_matrix(truth.sensor_from_table)
@@ -123,7 +123,7 @@ def reduce_bench(
     )
 
 
-def _squareness_rate(
+def _non_orthogonality_rate(
     config: CubeMirrorConfig, truth: TrueBench, table: TableAxes, trims: Sequence[FaceTrim]
 ) -> FloatArray:
     """Difference quotient (3,) of R_pr by the fitted non-orthogonality [rad/rad]."""
@@ -210,7 +210,7 @@ def _sensor(
     if key not in cache.calibrations:
         readings = streams.child("readings")
         cache.calibrations[key] = calibrate_sensor(
-            laboratory, truth, table, cache.runs[axes], readings, free_squareness=case.improved
+            laboratory, truth, table, cache.runs[axes], readings, fit_non_orthogonality=case.improved
         )
     return cache.calibrations[key]
 

@@ -1,4 +1,4 @@
-"""CubeNoise of pictures and sun sensor, predicted from detector, light and geometry without pictures or fits.
+"""Noise of the screen pictures and of the sun sensor, predicted from detector, light and geometry.
 
 Pictures: `calib.measure.targets.circle_noise` for the detector; the particles of the rendering add noise that a
 laboratory does not have (`render.bench.spot`). The rim of the spot and its slope follow from the overlap of two
@@ -34,6 +34,10 @@ from render.detector.spec import Detector
 
 NETS = 48
 """Scrambled nets that estimate the noise by the particles; relative error of its sigma 1 / sqrt(4 NETS) = 7 %."""
+PROFILE_MARGIN_PX, PROFILE_STEP_PX = 25.0, 0.25
+"""Sampling of the spot's radial profile, from half the hole's radius to this distance outside the spot's edge."""
+BILINEAR_VARIANCE_PX2 = 1.0 / 6.0
+"""Variance per axis of the triangle kernel of bilinear interpolation; that of a square pixel is 1 / 12."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,17 +55,17 @@ class SensorNoise:
     """Scatter of the calibration of the sun sensor."""
 
     spot_px: float  # Standard deviation of a spot per axis, RMS over the positions
-    # (3, 3) Of the contribution of R_sr, and of the fitted squareness, to R_sp: rotation vector in the cube frame
+    # (3, 3) Covariance of the error that R_sr and the fitted non-orthogonality add to R_sp: rotation vector, cube frame
     covariance_rad2: FloatArray
 
 
 def pixel_noise(detector: Detector, exposure_s: float) -> PixelNoise:
-    """CubeNoise of a pixel at the detector's reference temperature."""
+    """Temporal and fixed noise of a pixel at the detector's reference temperature."""
     return PixelNoise.of(detector, temperature_c=detector.dark_reference_c, exposure_s=exposure_s)
 
 
 def detector_variance_px2(laboratory: CubeLaboratory, edge: Contour, full_e: float) -> float:
-    """Variance of the centre of a circle by the detector."""
+    """Variance of the fitted centre of a circle, by shot noise, read-out and response of the pixels on its edge."""
     noise = pixel_noise(laboratory.detector, laboratory.config.camera.exposure_s)
 
     def variance_e2(brightness: float) -> float:
@@ -73,17 +77,24 @@ def detector_variance_px2(laboratory: CubeLaboratory, edge: Contour, full_e: flo
 
 
 def picture_noise(laboratory: CubeLaboratory) -> PictureNoise:
-    """CubeNoise of spot minus aperture for a concentric, trimmed face."""
-    geometry, pitch = laboratory.geometry, laboratory.pitch_mm
-    hole, rim_width = geometry.aperture_mm / 2 / pitch, geometry.blur_mm(geometry.path_mm) / pitch
+    """Noise of the offset spot minus aperture, for a concentric face after the autocollimation adjustment.
+
+    Detector: variance of the two circle centres. Particles: scatter of the offset over `NETS` scrambled nets.
+    """
+    geometry = laboratory.geometry
+    pitch = laboratory.pitch_mm
+    hole = geometry.aperture_mm / 2 / pitch
+    rim_width = geometry.blur_mm(geometry.path_mm) / pitch
     blur = blur_px(laboratory)
-    radius = np.arange(0.5 * hole, hole + rim_width + 25.0, 0.25)
+    radius = np.arange(0.5 * hole, hole + rim_width + PROFILE_MARGIN_PX, PROFILE_STEP_PX)
     spot = rim_contour(spot_profile(geometry, radius * pitch), radius, hole, EDGE_HALF_WIDTH_PX["spot"], RIM_LEVEL)
     half = EDGE_HALF_WIDTH_PX["hole"]
-    step, rim = blurred_step_slope(blur, half), float(spot_profile(geometry, [(hole + 1.0) * pitch])[0])
+    step = blurred_step_slope(blur, half)
+    rim = float(spot_profile(geometry, [(hole + 1.0) * pitch])[0])
     hole_edge = Contour(radius=hole, slope=step * rim, brightness=rim / 2, half=half, rim=rim)
     aperture = Contour(radius=hole, slope=step, brightness=0.5, half=EDGE_HALF_WIDTH_PX["aperture"])
-    plateau_e, aperture_e = laboratory.config.camera.plateau_e, float(np.percentile(laboratory.aperture_e, 99.0))
+    plateau_e = laboratory.config.camera.plateau_e
+    aperture_e = float(np.percentile(laboratory.aperture_e, 99.0))  # Brightness inside the aperture
     spot2, hole2, aperture2 = (
         detector_variance_px2(laboratory, edge, full_e)
         for edge, full_e in ((spot, plateau_e), (hole_edge, plateau_e), (aperture, aperture_e))
@@ -102,12 +113,12 @@ def picture_noise(laboratory: CubeLaboratory) -> PictureNoise:
 
 
 def blur_px(laboratory: CubeLaboratory) -> float:
-    """Width of a point's light in the interpolated picture: diffusion, pixel and interpolation."""
-    return float(np.sqrt(laboratory.detector.diffusion_sigma_px**2 + 1.0 / 12.0 + 1.0 / 6.0))
+    """Standard deviation per axis of a point's light in the interpolated picture: diffusion, pixel, interpolation."""
+    return float(np.sqrt(laboratory.detector.diffusion_sigma_px**2 + 1.0 / 12.0 + BILINEAR_VARIANCE_PX2))
 
 
-def sensor_noise(laboratory: CubeLaboratory, *, reading: bool, free_squareness: bool) -> SensorNoise:
-    """CubeNoise of the calibration of the sun sensor at all positions of the field."""
+def sensor_noise(laboratory: CubeLaboratory, *, reading: bool, fit_non_orthogonality: bool) -> SensorNoise:
+    """Noise of the sun sensor's calibration over all positions of the field."""
     table = laboratory.config.table
     noise_arcsec = (table.outer_reading_arcsec, table.inner_reading_arcsec) if reading else 0.0
     axes = TableAxes.create("xy", reading_noise_arcsec=noise_arcsec)
@@ -115,13 +126,14 @@ def sensor_noise(laboratory: CubeLaboratory, *, reading: bool, free_squareness: 
     cosine = axes.rotation(angle).as_matrix()[:, 2, 2]
     spot2 = spot_variance_px2(laboratory, cosine)
     per_rad = laboratory.config.sensor.gap_mm / laboratory.sensor_detector.pixel_pitch_mm
-    covariance = mask_sensor_noise(axes, angle, spot2, per_rad, free_lean=free_squareness)
+    covariance = mask_sensor_noise(axes, angle, spot2, per_rad, fit_non_orthogonality=fit_non_orthogonality)
     return SensorNoise(spot_px=float(np.sqrt(spot2.mean())), covariance_rad2=covariance)
 
 
 def spot_variance_px2(laboratory: CubeLaboratory, cosine: FloatArray) -> FloatArray:
     """Variance (n,) of a spot's centre of light per axis, at cosines of the angle from the sensor's axis."""
-    config, noise = laboratory.config.sensor, pixel_noise(laboratory.sensor_detector, EXPOSURE_S)
+    config = laboratory.config.sensor
+    noise = pixel_noise(laboratory.sensor_detector, EXPOSURE_S)
     variance = disk_centre_variance_px2(
         config.plateau_e * cosine,
         hole_px(laboratory),
@@ -141,7 +153,7 @@ def hole_px(laboratory: CubeLaboratory) -> float:
 
 
 def spot_particles_px2(laboratory: CubeLaboratory, cosine: FloatArray) -> float:
-    """Variance by the number of particles of a spot."""
+    """Variance of a spot's centre of light by the finite number of rendered particles."""
     config = laboratory.config.sensor
     sun_px = np.tan(laboratory.geometry.half_angle_rad) * config.gap_mm / laboratory.sensor_detector.pixel_pitch_mm
     return mask_spot_variance_px2(hole_px(laboratory), float(sun_px), cosine, config.log2_particles)

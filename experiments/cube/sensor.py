@@ -21,14 +21,15 @@ from render.detector.spec import Detector
 from render.engine.random import Streams
 
 EXPOSURE_S = 0.01
+"""Exposure of the sun sensor."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorRun:
     """Spots measured at the positions of the table."""
 
-    angle_rad: FloatArray  # (n, 2) True angles of the table
-    pixel_px: FloatArray  # (n, 2) Measured spots
+    angle_rad: FloatArray  # (n, 2) True angles of the table's outer and inner axis
+    pixel_px: FloatArray  # (n, 2) Measured centres of light of the spots
 
 
 def field_angles(config: CubeMirrorConfig) -> FloatArray:
@@ -43,7 +44,7 @@ def observe_spots(laboratory: CubeLaboratory, truth: TrueBench, table: Turntable
     config = laboratory.config.sensor
     angle = table.set(field_angles(laboratory.config), streams)
     sun = table.rotation(angle).inv().apply([0.0, 0.0, 1.0]) @ truth.sensor_from_table.T
-    electrons, corner = mask_windows(
+    electrons, window_origin_px = mask_windows(
         truth.sensor,
         sun,
         sensor_chip(laboratory, truth),
@@ -55,12 +56,12 @@ def observe_spots(laboratory: CubeLaboratory, truth: TrueBench, table: Turntable
         log2_particles=config.log2_particles,
         streams=streams,
     )
-    return SensorRun(angle_rad=angle, pixel_px=centre_of_light(electrons) + corner)
+    return SensorRun(angle_rad=angle, pixel_px=centre_of_light(electrons) + window_origin_px)
 
 
 def sensor_chip(laboratory: CubeLaboratory, truth: TrueBench) -> Detector:
-    """Detector of the sun sensor of a bench; a fixed pattern common to all benches would shift all their spots
-    alike."""
+    """Detector of a bench's sun sensor. Every bench has its own fixed pattern: a common one would bias all alike."""
+    # Keys have 64 bits, seeds of a sensor 63
     seed = laboratory.streams.child("bench", truth.number).key("sun sensor chip") >> 1
     return replace(laboratory.sensor_detector, sensor_seed=seed)
 
@@ -72,12 +73,14 @@ def fit_sensor(
     table: TableAxes,
     sensor: MaskSensor,
     *,
-    free_squareness: bool,
+    fit_non_orthogonality: bool,
 ) -> MaskSensorCalibration:
-    """Joint fit to spots, on request with the squareness of the axes of the table."""
+    """Joint fit of pinhole and R_sr to the spots, on request with the non-orthogonality of the table's axes."""
     geometry = SensorGeometry(width_px=sensor.width_px, height_px=sensor.height_px, pixel_pitch_mm=sensor.pitch_mm)
     gap_mm = config.sensor.gap_mm
-    return calibrate_mask_sensor(geometry, gap_mm, pixel_px, reading_rad, table, free_lean=free_squareness)
+    return calibrate_mask_sensor(
+        geometry, gap_mm, pixel_px, reading_rad, table, fit_non_orthogonality=fit_non_orthogonality
+    )
 
 
 def calibrate_sensor(
@@ -87,9 +90,9 @@ def calibrate_sensor(
     run: SensorRun,
     streams: Streams,
     *,
-    free_squareness: bool,
+    fit_non_orthogonality: bool,
 ) -> MaskSensorCalibration:
-    """Read the table at the positions of a run, and fit."""
+    """Fit the sensor to a run's spots, at angles as the table's encoders read them."""
     reading = table.read(run.angle_rad, streams)
     config = laboratory.config
-    return fit_sensor(config, run.pixel_px, reading, table, truth.sensor, free_squareness=free_squareness)
+    return fit_sensor(config, run.pixel_px, reading, table, truth.sensor, fit_non_orthogonality=fit_non_orthogonality)

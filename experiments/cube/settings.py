@@ -123,7 +123,7 @@ class BenchesConfig(StrictModel):
 
 
 class CubeMirrorConfig(ExperimentConfig):
-    """The published run; CUBE09 states distance, aperture, pixel, table, stop rule and error terms."""
+    """The published run; CUBE09 states distance, aperture, pixel, table, stopping criterion and error terms."""
 
     simulator: SimulatorConfig = SimulatorConfig()
     screen: ScreenConfig = ScreenConfig()

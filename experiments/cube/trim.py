@@ -169,7 +169,7 @@ def _spot_picture(
 
 
 def _check_brightness(config: CubeMirrorConfig, offset: SpotOffset) -> None:
-    """Refuse a spot whose location is less accurate than the stop rule."""
+    """Refuse a spot whose location is less accurate than the stopping criterion."""
     sigma = float(np.sqrt(np.trace(offset.covariance_px2) / 2))
     if not sigma < max(config.trim.stop_px, 1.0):
         raise ConvergenceError(

@@ -24,7 +24,7 @@ def spots(angle, lean_arcsec=0.0, mount=MOUNT):
 @pytest.mark.parametrize(("lean_arcsec", "free"), [(0.0, False), (30.0, True)])
 def test_exact_spots_give_the_sensor_back(lean_arcsec, free):
     table = TableAxes.create("xy")
-    found = calibrate_mask_sensor(SENSOR, 3.0, spots(GRID, lean_arcsec), GRID, table, free_lean=free)
+    found = calibrate_mask_sensor(SENSOR, 3.0, spots(GRID, lean_arcsec), GRID, table, fit_non_orthogonality=free)
     assert (found.rotation * MOUNT.inv()).magnitude() < 1e-8
     assert found.focal_length_mm == pytest.approx(3.01, rel=1e-8)
     assert found.offset_px == pytest.approx([1.5, -2.0], abs=1e-6)
@@ -40,9 +40,9 @@ def test_noise_is_the_scatter_of_fits(free):
     for _ in range(60):
         measured = spots(GRID, mount=Rotation.identity()) + sigma * rng.standard_normal((25, 2))
         read = GRID + table.reading_noise_arcsec * ARCSEC_RAD * rng.standard_normal((25, 2))
-        found = calibrate_mask_sensor(SENSOR, 3.0, measured, read, table, free_lean=free)
+        found = calibrate_mask_sensor(SENSOR, 3.0, measured, read, table, fit_non_orthogonality=free)
         turns.append([*found.rotation.as_rotvec(), found.lean_rad])
-    expected = mask_sensor_noise(table, GRID, np.full(25, sigma**2), 3.01 / 0.007, free_lean=free)
+    expected = mask_sensor_noise(table, GRID, np.full(25, sigma**2), 3.01 / 0.007, fit_non_orthogonality=free)
     effect = -np.array(turns)[:, :3] @ NOMINAL_CUBE.T - np.array(turns)[:, 3:] * [0.0, 0.0, 1.0]
     assert effect.std(0) / np.sqrt(np.diag(expected)) == pytest.approx(np.ones(3), abs=0.36)
     assert (found.free_beam_sigma_rad > 0).all()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from experiments.cube import budget as study
-from experiments.cube.budget import build_budget, eq13_arcsec, eq14_arcsec, perfect_sensor, terms
+from experiments.cube.budget import build_budget, eq13_arcsec, eq14_arcsec, perfect_sensor, predict_terms
 from experiments.cube.montecarlo import CASES, CaseResult
 from optics.units import RAD_ARCSEC
 
@@ -16,7 +16,7 @@ PICTURE, SENSOR = np.array([0.2, 0.2, 0.2]), np.array([0.3, 0.1, 0.2])
 
 @pytest.fixture(scope="module")
 def single(laboratory):
-    return terms(laboratory, perfect_sensor(laboratory), np.array([0.5, 0.25]))
+    return predict_terms(laboratory, perfect_sensor(laboratory), np.array([0.5, 0.25]))
 
 
 def benches_of(case, sigma, count, seed=1):
@@ -50,14 +50,16 @@ def test_terms_alone(laboratory, single):
     assert single["square"][2] == pytest.approx(1.0, rel=0.05)  # 2 arcsec, half of which cancels; about z alone
     assert np.abs(single["square"][:2]).max() < 0.02
     often = laboratory.config.model_copy(update={"cube": laboratory.config.cube.model_copy(update={"repeats": 4})})
-    four = terms(replace(laboratory, config=often), perfect_sensor(laboratory), np.array([0.5, 0.25]))
+    four = predict_terms(replace(laboratory, config=often), perfect_sensor(laboratory), np.array([0.5, 0.25]))
     for name in ("pixel", "trim", "mounting", "reading"):
         assert four[name] == pytest.approx(0.5 * repeats * single[name])
 
 
 def test_noise_of_pictures_and_sun_sensor_by_their_sizes(laboratory):
     """A pixel of a picture is the angle of eq. 13; one of the sun sensor its pitch over the gap, over many spots."""
-    picture, sensor = study._noise(laboratory, CASES[-1], SimpleNamespace(one_picture_px=0.2, two_pictures_px=0.1))
+    picture, sensor = study._noise_arcsec(
+        laboratory, CASES[-1], SimpleNamespace(one_picture_px=0.2, two_pictures_px=0.1)
+    )
     repeats = np.sqrt(laboratory.config.cube.repeats)
     assert picture == pytest.approx([0.2 * eq13_arcsec(laboratory) / repeats] * 3, rel=0.01)
     config = laboratory.config.sensor
@@ -68,7 +70,7 @@ def test_noise_of_pictures_and_sun_sensor_by_their_sizes(laboratory):
 
 def test_budget_of_benches_with_the_predicted_errors(laboratory, single, monkeypatch):
     """400 benches a case: the RMS of an axis known to 1 / sqrt(800), with its stated uncertainty."""
-    monkeypatch.setattr(study, "_noise", lambda *_: (PICTURE, SENSOR))
+    monkeypatch.setattr(study, "_noise_arcsec", lambda *_: (PICTURE, SENSOR))
     monkeypatch.setattr(study, "trim_remainder_px", lambda *_: np.array([0.5, 0.25]))
     on = {
         "pixel": ["pixel"],
@@ -103,11 +105,11 @@ def test_budget_of_benches_with_the_predicted_errors(laboratory, single, monkeyp
     assert rows["square"].acts_on.tolist() == [False, False, True]
     assert rows["improved"].acts_on.all()
     assert rows["all"].published_arcsec == 3.69
-    assert (rows["procedure"].claim_limit_arcsec, rows["improved"].claim_limit_arcsec) == (4.0, 1.0)
-    assert np.isnan(rows["pixel"].claim_limit_arcsec)
+    assert (rows["procedure"].test_limit_arcsec, rows["improved"].test_limit_arcsec) == (4.0, 1.0)
+    assert np.isnan(rows["pixel"].test_limit_arcsec)
     few = {"procedure": benches_of(CASES[6], expected["procedure"], 50)}
     (row,) = build_budget(laboratory, few, pictures)
-    assert (row.claim_arcsec, row.claim_limit_arcsec) == (4.0, pytest.approx(4.0 * 1.3))
+    assert (row.specified_arcsec, row.test_limit_arcsec) == (4.0, pytest.approx(4.0 * 1.3))
 
 
 def test_statistics_of_a_case():

@@ -20,7 +20,7 @@ from experiments.cube.bench import (
 from experiments.cube.budget import (
     beam_rates,
     geometric_error,
-    squareness_rates,
+    non_orthogonality_rates,
 )
 from experiments.cube.montecarlo import CASES, CaseResult
 from experiments.cube.sensor import calibrate_sensor, field_angles, fit_sensor, observe_spots, sensor_chip
@@ -67,7 +67,7 @@ def test_concentric_angles_return_the_light_into_the_aperture(face):
 def test_non_orthogonal_axes_act_on_z_and_half_of_it_cancels():
     """By hand: the second face takes the full angle about z. The spots of the sun sensor are sheared: spots along x
     turn by the angle, spots along y do not: half a rotation, and half a shear that no rotation fits."""
-    rate = squareness_rates(CubeMirrorConfig(sensor={"grid": 5, "field_deg": 5.0}), mask())
+    rate = non_orthogonality_rates(CubeMirrorConfig(sensor={"grid": 5, "field_deg": 5.0}), mask())
     assert rate[:2] == pytest.approx([0, 0], abs=1e-6)
     assert abs(rate[2]) == pytest.approx(0.5, abs=2e-3)
 
@@ -83,7 +83,7 @@ def test_sensor_calibration_recovers_the_truth(laboratory):
     truth = draw_truths(laboratory.config, laboratory.streams)[0]
     table = build_table(laboratory.config, truth, CubeCase(name="", label=""))
     run = observe_spots(laboratory, truth, table, Streams(8))
-    calibration = calibrate_sensor(laboratory, truth, table, run, Streams(9), free_squareness=False)
+    calibration = calibrate_sensor(laboratory, truth, table, run, Streams(9), fit_non_orthogonality=False)
     error = (calibration.rotation * Rotation.from_matrix(truth.sensor_from_table).inv()).as_rotvec() / ARCSEC
     sigma = np.sqrt(np.diag(calibration.covariance_rad2)) / ARCSEC
     assert np.all(np.abs(error) < 4 * sigma)
@@ -169,7 +169,7 @@ def test_bench_on_exact_coordinates_is_reduced_without_error(seed):
     truth, case = draw_truths(config, Streams(seed))[0], CubeCase(name="", label="")
     table, angle = build_table(config, truth, case), field_angles(config)
     sun = table.rotation(angle).inv().apply([0.0, 0.0, 1.0]) @ truth.sensor_from_table.T
-    sensor = fit_sensor(config, truth.sensor.spot_px(sun), angle, table, truth.sensor, free_squareness=False)
+    sensor = fit_sensor(config, truth.sensor.spot_px(sun), angle, table, truth.sensor, fit_non_orthogonality=False)
     none = SimpleNamespace(offset_px=np.zeros(2), covariance_px2=1e-4 * np.eye(2))
     trims = [
         SimpleNamespace(
