@@ -1,6 +1,6 @@
 """Error budget per term and axis, predicted by geometry without pictures, compared with CUBE09's eq. 13 and 14.
 
-R_pr turns the table frame into that of the cube, R_sr into that of the sun sensor; the result is R_sp = R_pr R_sr^-1 (eq. 11).
+R_pr turns the table frame into that of the cube, R_sr into that of the sun sensor: R_sp = R_pr R_sr^-1 (eq. 11).
 Eq. 14 adds four numbers as if each acted on every axis. In fact R_pr gets its x and y from the first face and its z
 from the second, so that an error of a face's normal in one direction is an error about one axis. Per axis:
 
