@@ -1,4 +1,8 @@
-"""The chromatic term (ACC18 eq. 13-16) for the budget: predicted from traced light, measured on frames."""
+"""LSFE-S, the chromatic low-spatial-frequency error (ACC18 eq. 13-16): predicted by ray trace, measured on frames.
+
+A centroider whose PSF is built from frames is predicted with several Monte-Carlo realisations of that PSF: the noise of
+one realisation is common to all filters and corners, so that it does not average out in Table 1.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +32,7 @@ from render.engine.random import Streams
 from render.records import EffectivePsf
 
 ROUNDING_PX = 1e-6
-"""Below this a traced mean is rounding, and the statistic is zero."""
+"""Entries of Table 1 below this are rounding errors of the trace; their term is zero."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,22 +41,22 @@ class ChromaticTerm:
 
     pairs: Sequence[str]  # Names of the pairs
     table1_px: FloatArray  # (b, 2) Eq. 16, signed
-    sigma_px: FloatArray  # (b, 2) Its standard deviation
+    sigma_px: FloatArray  # (b, 2) Standard deviation of `table1_px`
     rms_px: FloatArray  # (b, 2) RMS shift of the points
     pixel_arcsec: float  # Angle of a pixel
-    n: int  # Frames behind each entry; 0 for a prediction
+    n: int  # Number of frames of each entry; 0 for a prediction
 
-    def value(self) -> ErrorTerm:
-        """The term, 3 sigma (`calib.accuracy.chromatic.chromatic_error`)."""
+    def error_term(self) -> ErrorTerm:
+        """LSFE-S, 3 sigma (`calib.accuracy.chromatic.chromatic_error`)."""
         term = chromatic_error(self.table1_px, self.sigma_px, self.pixel_arcsec, self.n)
         significant = term.arcsec > ROUNDING_PX * self.pixel_arcsec
         return replace(term, arcsec=np.where(significant, term.arcsec, 0.0))
 
 
-def _chromatic_term(
+def _build_term(
     lab: BudgetLaboratory, position_px: FloatArray, sigma_px: Sequence[FloatArray], n: int
 ) -> ChromaticTerm:
-    """Table 1 of positions (p, j, b, 2); ``sigma_px``: standard deviation (2,) of each entry."""
+    """Table 1 (eq. 15-16) of positions (p, j, b, 2); ``sigma_px``: standard deviation (2,) of each entry."""
     shift_px = shifts(position_px, lab.filtered.pairs)
     return ChromaticTerm(
         pairs=list(shift_px),
@@ -66,98 +70,119 @@ def _chromatic_term(
 
 @dataclass(frozen=True, slots=True)
 class TracedTarget:
-    """Target points in the four corners: quantities that depend on the light alone."""
+    """Target points in the four corners, traced: independent of noise and centroider."""
 
-    direction: FloatArray  # (p, j, 3) Points
+    direction: FloatArray  # (p, j, 3) Unit vectors of the points
     position_px: FloatArray  # (p, j, b, 2) Traced bundle means
-    psf: list[list[list[EffectivePsf]]]  # PSFs ``[corner][point][band]``; empty where no centroider depends on them
+    psf: list[list[list[EffectivePsf]]]  # ``psf[corner][point][band]``; empty if no centroider depends on PSFs
 
 
 def trace_target(lab: BudgetLaboratory, *, coarse: bool = False) -> TracedTarget:
-    """Trace the target behind every filter; coarse: PSFs of the middle points alone."""
-    bench, instrument = lab.filtered, lab.instrument
+    """Trace the target behind every filter; coarse: all points of a corner with the PSF of its central point."""
+    bench = lab.filtered
+    instrument = lab.instrument
     direction = corner_directions(bench.target, instrument)
     psf: list[list[list[EffectivePsf]]] = []
     if not all(has_matched_epsf(method) for method in bench.methods):
-        scene, size = filter_scene(bench, instrument, by_grid=not coarse), bench.window_px // 2 + 2
-        if coarse:
-            psf = [scene.filter_psfs(points[len(points) // 2][None], size) * len(points) for points in direction]
-        else:
-            psf = [scene.filter_psfs(points, size) for points in direction]
+        scene = filter_scene(bench, instrument, by_grid=not coarse)
+        half_size_px = bench.window_px // 2 + 2
+        for points in direction:
+            central = points[len(points) // 2][None]
+            psf.append(
+                scene.filter_psfs(central, half_size_px) * len(points)
+                if coarse
+                else scene.filter_psfs(points, half_size_px)
+            )
     return TracedTarget(direction, bundle_prediction(bench, instrument, direction), psf)
 
 
 def predicted_terms(
     lab: BudgetLaboratory, traced: TracedTarget, *, draws: int, defect: NDArray[np.bool_] | None = None
 ) -> dict[str, ChromaticTerm]:
-    """By centroider: positions by ray trace, or by the centroider on PSFs with noise."""
+    """By centroider: traced positions if its PSF is matched to the filter, else its centroids of noisy windows."""
     corners, points, *_ = traced.position_px.shape
-    exact = CentroidedTarget(traced.position_px, np.zeros_like(traced.position_px), None)
-    biased = [method for method in lab.filtered.methods if not has_matched_epsf(method)]
-    windows = _corner_windows(lab, traced, defect) if biased else []
+    unbiased = CentroidedTarget(traced.position_px, np.zeros_like(traced.position_px), None)
+    biased_methods = [method for method in lab.filtered.methods if not has_matched_epsf(method)]
+    windows = _expect_corner_windows(lab, traced, defect) if biased_methods else []
     terms = {}
     for method in lab.filtered.methods:
-        target = _centroided(lab, traced, windows, method, draws) if method in biased else exact
+        target = _centroid_target(lab, traced, windows, method, draws) if method in biased_methods else unbiased
         sigma_px = []
         for name, high, low in lab.filtered.pairs:
-            # eq. 16 propagated: half the mean of p j independent differences
+            # eq. 16 propagated: half the mean of p x j independent differences
             variance_px2 = (target.sigma_px[:, :, [high, low]] ** 2).sum((0, 1, 2)) / (2.0 * corners * points) ** 2
-            if target.session_px is not None:  # the noise of one PSF is common to all filters and corners
-                entries = table1(shifts(target.session_px, lab.filtered.pairs)[name])
+            if target.realisation_px is not None:  # the noise of one PSF is common to all filters and corners
+                entries = table1(shifts(target.realisation_px, lab.filtered.pairs)[name])
                 variance_px2 = variance_px2 + next_draw_variance(entries)
             sigma_px.append(np.sqrt(variance_px2))
-        terms[method] = _chromatic_term(lab, target.mean_px, sigma_px, 0)
+        terms[method] = _build_term(lab, target.mean_px, sigma_px, 0)
     return terms
 
 
 class CentroidedTarget(NamedTuple):
     """Predicted centroids of the target by one method."""
 
-    mean_px: FloatArray  # (p, j, b, 2) Mean over drawn noise, or over sessions
-    sigma_px: FloatArray  # (p, j, b, 2) Standard deviation of that mean over drawn noise
-    session_px: FloatArray | None  # (k, p, j, b, 2) With the PSF of each of k drawn sessions, without noise
+    mean_px: FloatArray  # (p, j, b, 2) Mean over noise samples, or over realisations of the PSF
+    sigma_px: FloatArray  # (p, j, b, 2) Standard deviation of that mean over noise samples
+    realisation_px: FloatArray | None  # (k, p, j, b, 2) Noiseless centroids with each of k realisations of the PSF
 
 
-CornerWindows = tuple[int, int, Sequence[EffectivePsf], ExpectedWindows]
-"""Index of the corner and of the band, PSFs of the points, windows around them."""
+class CornerWindows(NamedTuple):
+    """Expected windows of the points of one corner behind one filter."""
+
+    corner: int
+    band: int
+    psf: Sequence[EffectivePsf]  # PSF of each point
+    windows: ExpectedWindows
 
 
-def _corner_windows(
+def _expect_corner_windows(
     lab: BudgetLaboratory, traced: TracedTarget, defect: NDArray[np.bool_] | None
 ) -> Sequence[CornerWindows]:
-    """Expected windows in every corner behind every filter."""
+    """Noiseless expected windows in every corner behind every filter."""
     corner_windows: list[CornerWindows] = []
     for corner, direction in enumerate(traced.direction):
         for band in range(len(lab.filtered.filters)):
             psf = [point[band] for point in traced.psf[corner]]
-            bench, position_px = replace(lab.filtered, reference=band), traced.position_px[corner, :, band]
+            bench = replace(lab.filtered, reference=band)
+            position_px = traced.position_px[corner, :, band]
             windows = target_windows(bench, lab.instrument, direction[None], psf, position_px, defect=defect)
-            corner_windows.append((corner, band, psf, windows))
+            corner_windows.append(CornerWindows(corner, band, psf, windows))
     return corner_windows
 
 
-def _centroided(
+def _centroid_target(
     lab: BudgetLaboratory, traced: TracedTarget, corner_windows: Sequence[CornerWindows], method: str, draws: int
 ) -> CentroidedTarget:
-    """Centroids on drawn noise; of a method whose PSF is built from frames, noiseless with every drawn PSF."""
-    bench, shape = replace(lab.filtered, methods=(method,)), traced.position_px.shape
-    pixel, noise_model = lab.instrument.pixel_noise(), nominal_noise(lab.instrument)
+    """Centroids of windows with sampled noise; with a PSF built from frames: noiseless, for each realisation."""
+    bench = replace(lab.filtered, methods=(method,))
+    noise_model = nominal_noise(lab.instrument)
     rng = Streams(lab.config.seed).generator("chromatic prediction")
-    mean_px, sigma_px, session_px = np.empty(shape), np.zeros(shape), np.empty((len(bench.sessions), *shape))
-    built = needs_measured_epsf(method)
+    shape = traced.position_px.shape
+    mean_px = np.empty(shape)
+    sigma_px = np.zeros(shape)
+    realisation_px = np.empty((len(bench.sessions), *shape))
+    psf_from_frames = needs_measured_epsf(method)
     for corner, band, psf, windows in corner_windows:
-        at = corner, slice(None), band
-        if built:
-            centroids = [noiseless_positions(c, windows, noise_model) for c in session_centroiders(bench, psf, method)]
-            session_px[:, *at] = centroids
-            mean_px[at] = np.mean(centroids, axis=0)
+        if psf_from_frames:
+            noiseless_px = [
+                noiseless_positions(centroider, windows, noise_model)
+                for centroider in session_centroiders(bench, psf, method)
+            ]
+            realisation_px[:, corner, :, band] = noiseless_px
+            mean_px[corner, :, band] = np.mean(noiseless_px, axis=0)
         else:
-            drawn_px = drawn_positions(
-                centroiders(bench, psf)[method], windows, noise_model, pixel, draws=draws, rng=rng
+            sampled_px = drawn_positions(
+                centroiders(bench, psf)[method],
+                windows,
+                noise_model,
+                lab.instrument.pixel_noise(),
+                draws=draws,
+                rng=rng,
             )
-            mean_px[at] = np.nanmean(drawn_px, axis=0)
-            sigma_px[at] = np.nanstd(drawn_px, axis=0, ddof=1) / np.sqrt(draws)
-    return CentroidedTarget(mean_px, sigma_px, session_px if built else None)
+            mean_px[corner, :, band] = np.nanmean(sampled_px, axis=0)
+            sigma_px[corner, :, band] = np.nanstd(sampled_px, axis=0, ddof=1) / np.sqrt(draws)
+    return CentroidedTarget(mean_px, sigma_px, realisation_px if psf_from_frames else None)
 
 
 def measured_terms(
@@ -166,10 +191,10 @@ def measured_terms(
     """By centroider: the target in the four corners behind every filter, rendered, read out, reduced."""
     bench = lab.filtered
     frames = measure_chromatic(bench, lab.instrument, streams, patterns=bench.methods, advance=advance)
-    count = bench.frames * int(np.prod(frames.nominal_px.shape[:2]))
+    frames_per_entry = bench.frames * int(np.prod(frames.nominal_px.shape[:2]))
     return {
-        method: _chromatic_term(
-            lab, frames.mean_px[method], list(frames.table1_sigma(bench.pairs, method).values()), count
+        method: _build_term(
+            lab, frames.mean_px[method], list(frames.table1_sigma(bench.pairs, method).values()), frames_per_entry
         )
         for method in bench.methods
     }
@@ -185,7 +210,7 @@ class Table1:
     rms_px: FloatArray = col("RMS shift of a point", "px", ".4f", "axis")
 
 
-def table1_of(predicted: ChromaticTerm, frames: ChromaticTerm) -> list[Table1]:
+def tabulate_table1(predicted: ChromaticTerm, frames: ChromaticTerm) -> list[Table1]:
     """Table 1, one record for each pair of bands."""
     return [
         Table1(

@@ -1,7 +1,7 @@
 """The error budget: every term predicted without frames, measured in the virtual laboratory, and summed.
 
-Terms and sum are here; further parts of the study have their own modules: `chromatic` (Table 1), `thermal`,
-`attitude`.
+Terms of ACC18 (TE temporal, HSFE high-spatial-frequency, LSFE low-spatial-frequency error: S chromatic, C1 distortion,
+C2 target survey) and their sums; `chromatic` (Table 1), `thermal` and `attitude` are modules of their own.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from calib.accuracy.error_budget import ECSS, FRAME_TERMS, SUMS, TERMS, ErrorTer
 from calib.accuracy.step_prediction import rms_over
 from experiments.budget import attitude
 from experiments.budget.attitude import attitude_study
-from experiments.budget.chromatic import TABLE1, table1_of
+from experiments.budget.chromatic import TABLE1, tabulate_table1
 from experiments.budget.laboratory import BudgetLaboratory, build_laboratory, check_laboratory, half_field
-from experiments.budget.measure import MeasuredTerms, measure_terms, steps_of
+from experiments.budget.measure import MeasuredTerms, count_advances, measure_terms
 from experiments.budget.predict import PredictedTerms, coarse_terms, predict_terms
 from experiments.budget.settings import BudgetConfig
 from experiments.budget.thermal import THERMAL, ThermalTerm, thermal_term
@@ -37,10 +37,12 @@ from experiments.laboratory.settings.published import ACC18_ARCSEC, ACC18_SUMS_A
 from optics.arrays import FloatArray
 from render.engine.random import Streams
 
-EVERY = (*TERMS, *SUMS)
-TESTED = (*FRAME_TERMS, "LSFE-C1", "LSFE-C2")
-AIMED = ("TE", "HSFE", "LSFE-S", "total")
+ALL_TERMS = (*TERMS, *SUMS)
+COMPARED_TERMS = (*FRAME_TERMS, "LSFE-C1", "LSFE-C2")
+TUNED_TERMS = ("TE", "HSFE", "LSFE-S", "total")
 """Errors that an instrument tuned to the published budget must reproduce."""
+SMALLEST_SIGMA = 1e-300
+"""Floor of a standard deviation that is zero, such as that of a term without uncertainty."""
 PUBLISHED_ARCSEC = {**ACC18_ARCSEC, **ACC18_SUMS_ARCSEC}
 LABELS = {
     "LSFE-S": "LSFE-S, chromatic",
@@ -70,12 +72,12 @@ class BudgetConditions:
     no_thermal: str | None = col("Reason for no thermal term", default=None)
 
 
-def conditions(lab: BudgetLaboratory) -> BudgetConditions:
-    """Names, signal, and the line of sight of a collimator that moves."""
+def describe_conditions(lab: BudgetLaboratory) -> BudgetConditions:
+    """Lens, detector and signal; motion of the line of sight from frame to frame if there is a collimator."""
     pixel_arcsec = lab.instrument.pixel_arcsec
     frame_to_frame_px2, _ = lab.bench.power_px2(lab.instrument)
     return BudgetConditions(
-        ecss=[ECSS[name] for name in EVERY],
+        ecss=[ECSS[name] for name in ALL_TERMS],
         signal_e=lab.signal.signal_e,
         signal_star=lab.signal.star,
         lens_name=lab.instrument.camera.lens.name,
@@ -109,21 +111,21 @@ class TermComparison:
 class Agreement:
     """Whether prediction and frames agree, by centroider."""
 
-    # Predicted minus measured; LSFE-S: of the entry of Table 1 with the largest deviation
+    # Predicted minus measured over its standard deviation; LSFE-S: entry of Table 1 with the largest deviation
     deviation_sigma: FloatArray = col("Deviation", "sigma", "+.2f", "tested axis")
-    # Predicted term in units of the same standard deviation; 0 for C2, which is no property of the camera
-    term_sigma: FloatArray = col("Term", "sigma", ".3g", "tested axis", shown=False)
-    frame_terms_ratio: Sequence[Measured] = col("TE, HSFE and S together, predicted over measured", dims="axis")
+    # Predicted term over the standard deviation of the difference; 0 for LSFE-C2, an input
+    term_over_sigma: FloatArray = col("Term", "sigma", ".3g", "tested axis", shown=False)
+    frame_terms_ratio: Sequence[Measured] = col("TE, HSFE and LSFE-S together, predicted over measured", dims="axis")
 
 
-def compared(predicted: PredictedTerms, frames: MeasuredTerms | None = None) -> TermComparison:
+def compare_terms(predicted: PredictedTerms, frames: MeasuredTerms | None = None) -> TermComparison:
     """Predicted and measured budget of one centroider; no ratio of terms below 5 sigma of the measurement."""
-    predictions = [predicted.budget[name] for name in EVERY]
+    predictions = [predicted.budget[name] for name in ALL_TERMS]
     comparison = TermComparison(predicted_arcsec=_with_uncertainty(predictions))
     if frames is None:
         return comparison
-    measurements = [frames.budget[name] for name in EVERY]
-    ratios = [term_ratio(*terms) for terms in zip(EVERY, predictions, measurements, strict=True)]
+    measurements = [frames.budget[name] for name in ALL_TERMS]
+    ratios = [term_ratio(*terms) for terms in zip(ALL_TERMS, predictions, measurements, strict=True)]
     return replace(
         comparison,
         measured_arcsec=_with_uncertainty(measurements),
@@ -137,46 +139,56 @@ def _with_uncertainty(terms: Sequence[ErrorTerm]) -> Any:
 
 
 def deviations(predicted: PredictedTerms, frames: MeasuredTerms, name: str) -> FloatArray:
-    """Predicted minus measured (2,) in standard deviations; of the chromatic term of its signed entries (b, 2)."""
+    """Predicted minus measured (2,) in standard deviations; for LSFE-S the signed entries (b, 2) of Table 1."""
     if name != "LSFE-S":
         return term_pull(name, predicted.budget[name], frames.budget[name])
-    a, b = predicted.chromatic, frames.chromatic
-    return (a.table1_px - b.table1_px) / np.hypot(a.sigma_px, b.sigma_px)
+    prediction, measurement = predicted.chromatic, frames.chromatic
+    sigma_px = np.hypot(prediction.sigma_px, measurement.sigma_px)
+    return (prediction.table1_px - measurement.table1_px) / sigma_px
 
 
-def agreement(predicted: PredictedTerms, frames: MeasuredTerms) -> Agreement:
+def judge_agreement(predicted: PredictedTerms, frames: MeasuredTerms) -> Agreement:
     """Largest deviation of each term, and the root sum of squares of `FRAME_TERMS`, predicted over measured."""
-    largest, term_sigma = [], []
-    for name in TESTED:
+    largest_deviation = []
+    for name in COMPARED_TERMS:
         entries = np.atleast_2d(deviations(predicted, frames, name))
-        largest.append(entries[np.abs(entries).argmax(0), [0, 1]])
-        prediction, measurement = predicted.budget[name], frames.budget[name]
-        sigma = difference_sigma(name, prediction.uncertainty_arcsec, measurement.uncertainty_arcsec)
-        term_sigma.append(prediction.arcsec / np.maximum(sigma, 1e-300) * (name != "LSFE-C2"))
+        largest_deviation.append(entries[np.abs(entries).argmax(0), [0, 1]])
     return Agreement(
-        deviation_sigma=np.array(largest),
-        term_sigma=np.array(term_sigma),
+        deviation_sigma=np.array(largest_deviation),
+        term_over_sigma=np.array([_term_over_sigma(predicted, frames, name) for name in COMPARED_TERMS]),
         frame_terms_ratio=measured(*frame_terms_ratio(predicted.budget, frames.budget)),
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Tuned:
-    """An instrument that is meant to have the published budget (``published_within_fraction``)."""
+def _term_over_sigma(predicted: PredictedTerms, frames: MeasuredTerms, name: str) -> FloatArray:
+    """Predicted term (2,) over the standard deviation of predicted minus measured."""
+    if name == "LSFE-C2":  # an input, not judged
+        return np.zeros(2)
+    prediction, measurement = predicted.budget[name], frames.budget[name]
+    sigma = difference_sigma(name, prediction.uncertainty_arcsec, measurement.uncertainty_arcsec)
+    return prediction.arcsec / np.maximum(sigma, SMALLEST_SIGMA)
 
-    over_published: Sequence[Sequence[Measured]] = col("Measured over published", dims="aimed axis")
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PublishedBudgetMatch:
+    """Agreement of an instrument tuned to the published budget (``published_within_fraction``)."""
+
+    over_published: Sequence[Sequence[Measured]] = col("Measured over published", dims="tuned_term axis")
     within_fraction: float = col("Required agreement")
 
 
-def tuned(config: BudgetConfig, frames: MeasuredTerms) -> Tuned | None:
-    """Measured over published, if requested in the configuration."""
+def match_published(config: BudgetConfig, frames: MeasuredTerms) -> PublishedBudgetMatch | None:
+    """Measured over published terms; None if the configuration requires no agreement."""
     if config.published_within_fraction is None:
         return None
-    ratios = [
-        (frames.budget[name].arcsec / published, frames.budget[name].uncertainty_arcsec / published)
-        for name, published in ((name, np.array(PUBLISHED_ARCSEC[name])) for name in AIMED)
-    ]
-    return Tuned(over_published=measured(*np.stack(ratios, axis=1)), within_fraction=config.published_within_fraction)
+    ratios = []
+    for name in TUNED_TERMS:
+        published = np.array(PUBLISHED_ARCSEC[name])
+        term = frames.budget[name]
+        ratios.append((term.arcsec / published, term.uncertainty_arcsec / published))
+    return PublishedBudgetMatch(
+        over_published=measured(*np.stack(ratios, axis=1)), within_fraction=config.published_within_fraction
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -207,8 +219,8 @@ class HsfeContribution:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TermParts:
-    """Parts of the terms by the main centroider, 3 sigma."""
+class TermBreakdown:
+    """Contributions to the terms and intermediate statistics, main centroider, 3 sigma."""
 
     te_cramer_rao_arcsec: FloatArray = col("TE: Cramér-Rao bound", "arcsec", ".3f", "axis")
     single_position_predicted_arcsec: FloatArray = col("HSFE of one position, predicted", "arcsec", ".3f", "axis")
@@ -217,15 +229,15 @@ class TermParts:
     sigma_d_measured_arcsec: FloatArray = col("measured", "arcsec", ".3f", "axis")
     sigma_dd_predicted_arcsec: FloatArray = col("σ_Dd, predicted", "arcsec", ".3f", "axis")
     sigma_dd_measured_arcsec: FloatArray = col("measured", "arcsec", ".3f", "axis")
-    # C1 of a perfect camera without noise
+    # LSFE-C1 of a perfect camera without noise
     c1_marking_errors_arcsec: FloatArray = col("C1 of marking errors alone", "arcsec", ".3f", "axis")
     c1_single_survey_arcsec: FloatArray = col("C1, one survey", "arcsec", ".3f", "axis")
-    c1_survey_scatter_arcsec: FloatArray = col("Its scatter", "arcsec", ".3f", "axis")
+    c1_survey_scatter_arcsec: FloatArray = col("C1, survey to survey", "arcsec", ".3f", "axis")
 
 
-def parts(predicted: PredictedTerms, frames: MeasuredTerms) -> TermParts:
-    """Numbers of the prediction and of the frames."""
-    return TermParts(
+def break_down_terms(predicted: PredictedTerms, frames: MeasuredTerms) -> TermBreakdown:
+    """Predicted and measured contributions side by side."""
+    return TermBreakdown(
         te_cramer_rao_arcsec=predicted.te_cramer_rao_arcsec,
         single_position_predicted_arcsec=predicted.single_position_arcsec,
         single_position_measured_arcsec=frames.single_position_arcsec,
@@ -239,9 +251,9 @@ def parts(predicted: PredictedTerms, frames: MeasuredTerms) -> TermParts:
     )
 
 
-def collimator(lab: BudgetLaboratory, frames: Mapping[str, MeasuredTerms]) -> CollimatorShift | None:
-    """Contribution of the collimator to Table 1, for any main centroider by a fit of the true PSF: its position follows
-    the mean of all light."""
+def find_collimator_shift(lab: BudgetLaboratory, frames: Mapping[str, MeasuredTerms]) -> CollimatorShift | None:
+    """Contribution of the collimator to Table 1, by the centroider that fits the true PSF, because its position follows
+    the centroid of all light; None without a collimator."""
     table = frames[motion_method(lab.config.methods)].chromatic
     corners = corner_directions(lab.config.target, lab.instrument)
     return collimator_shift(lab.filtered, lab.instrument, corners, table.table1_px, table.sigma_px)
@@ -249,16 +261,16 @@ def collimator(lab: BudgetLaboratory, frames: Mapping[str, MeasuredTerms]) -> Co
 
 def axes(config: BudgetConfig) -> Quantities:
     """Terms, axes, centroiders, pairs of filters."""
-    q = Quantities()
-    names = {name: LABELS.get(name, name) for name in EVERY}
+    quantities = Quantities()
+    names = {name: LABELS.get(name, name) for name in ALL_TERMS}
     names["attitude"] = f"attitude, total / √{config.attitude.stars}"
-    q.axis("term", list(names), "Term", names=names)
-    q.axis("tested", list(TESTED), "Term")
-    q.axis("aimed", list(AIMED), "Term")
-    q.axis("axis", ["x", "y"], "Axis")
+    quantities.axis("term", list(names), "Term", names=names)
+    quantities.axis("tested", list(COMPARED_TERMS), "Term")
+    quantities.axis("tuned_term", list(TUNED_TERMS), "Term")
+    quantities.axis("axis", ["x", "y"], "Axis")
     labels = MethodLabels(matched="simulator's PSF", measured="PSF from frames")
-    q.axis("method", list(config.methods), "Centroider", names=labels)
-    return q
+    quantities.axis("method", list(config.methods), "Centroider", names=labels)
+    return quantities
 
 
 def predict(config: BudgetConfig, *, progress: Progress) -> dict[str, Any]:
@@ -266,7 +278,7 @@ def predict(config: BudgetConfig, *, progress: Progress) -> dict[str, Any]:
     with progress.stage("predict"):
         terms = coarse_terms(config)
     return {
-        "setup": conditions(build_laboratory(config)),
+        "setup": describe_conditions(build_laboratory(config)),
         **prediction_sections(config, {config.centroid: terms}),
     }
 
@@ -275,9 +287,9 @@ def prediction_sections(
     config: BudgetConfig, predicted: Mapping[str, PredictedTerms], frames: Mapping[str, MeasuredTerms] | None = None
 ) -> dict[str, Any]:
     """Sections of a prediction, with measured values where frames exist."""
-    comparisons = [compared(terms, frames[name] if frames else None) for name, terms in predicted.items()]
+    comparisons = [compare_terms(terms, frames[name] if frames else None) for name, terms in predicted.items()]
     comparable = is_published_sensor(config) or config.published_within_fraction is not None
-    published = np.array([PUBLISHED_ARCSEC[name] for name in EVERY]) if comparable else None
+    published = np.array([PUBLISHED_ARCSEC[name] for name in ALL_TERMS]) if comparable else None
     main = predicted[config.centroid]
     return {
         "terms": replace(comparisons[0], published_arcsec=published),
@@ -288,7 +300,7 @@ def prediction_sections(
 
 
 def run(config: BudgetConfig, *, progress: Progress) -> dict[str, Any]:
-    """Predict, measure, vary.
+    """Predict and measure all terms, the thermal term and the attitude.
 
     Raises
     ------
@@ -300,31 +312,27 @@ def run(config: BudgetConfig, *, progress: Progress) -> dict[str, Any]:
     streams = Streams(config.seed).child("budget")
     with progress.stage("predict"):
         predicted = predict_terms(lab)
-    with progress.stage("measure", total=steps_of(lab)) as stage:
+    with progress.stage("measure", total=count_advances(lab)) as stage:
         frames = measure_terms(lab, advance=stage.advance)
     with progress.stage("temperature"):
         thermal = thermal_term(lab, streams.child("temperature"))
-    main, main_frames = predicted[config.centroid], frames[config.centroid]
+    main = predicted[config.centroid]
+    main_frames = frames[config.centroid]
     with progress.stage("attitude", total=len(config.attitude.counts)) as stage:
         errors = DirectionErrors.of(main_frames.budget)
         study = attitude_study(
             half_field(lab.instrument), errors, config.attitude, streams.child("attitude"), advance=stage.advance
         )
     if isinstance(thermal, ThermalTerm):
-        lsfe_t = np.array([axis.value for axis in thermal.measured_arcsec])
-        thermal = replace(
-            thermal,
-            total_predicted_arcsec=np.hypot(thermal.predicted_arcsec, main.budget.total.arcsec),
-            total_measured_arcsec=np.hypot(lsfe_t, main_frames.budget.total.arcsec),
-        )
+        thermal = thermal.with_totals(main.budget.total.arcsec, main_frames.budget.total.arcsec)
     return {
-        "setup": replace(conditions(lab), no_thermal=thermal if isinstance(thermal, str) else None),
+        "setup": replace(describe_conditions(lab), no_thermal=thermal if isinstance(thermal, str) else None),
         **prediction_sections(config, predicted, frames),
-        "agreement": [agreement(predicted[method], frames[method]) for method in config.methods],
-        "tuned": tuned(config, main_frames),
-        "parts": parts(main, main_frames),
-        "chromatic": table1_of(main.chromatic, main_frames.chromatic),
-        "collimator": collimator(lab, frames),
+        "agreement": [judge_agreement(predicted[method], frames[method]) for method in config.methods],
+        "tuned": match_published(config, main_frames),
+        "parts": break_down_terms(main, main_frames),
+        "chromatic": tabulate_table1(main.chromatic, main_frames.chromatic),
+        "collimator": find_collimator_shift(lab, frames),
         **study,
         "thermal": thermal if isinstance(thermal, ThermalTerm) else None,
     }
@@ -338,7 +346,7 @@ SECTIONS = {
         caption="The budget, 3 sigma; uncertainties are one standard deviation.",
         note="C2, measured: scatter of repeated surveys, independent of frames. Attitude, measured: "
         "error of attitudes solved from stars with the measured errors. Predicted uncertainties of "
-        "HSFE and C1: scatter from chip to chip.",
+        "HSFE and C1: scatter from detector to detector.",
         figures={
             "budget_bars": bars(
                 "term",
@@ -372,7 +380,7 @@ SECTIONS = {
                 "deviation_sigma",
                 0.0,
                 error=1.0,
-                of="term_sigma",
+                of="term_over_sigma",
                 each="method",
                 title="TE, HSFE, S, C1, C2, predicted minus measured",
             ),
@@ -380,7 +388,8 @@ SECTIONS = {
         ],
     ),
     "tuned": Section(
-        record=Tuned, verdicts=[agree("over_published", 1.0, slack="within_fraction", title="measured over published")]
+        record=PublishedBudgetMatch,
+        verdicts=[agree("over_published", 1.0, slack="within_fraction", title="measured over published")],
     ),
     "causes": Section(
         record=HsfeContribution,
@@ -391,7 +400,7 @@ SECTIONS = {
         caption="Predicted HSFE by cause, 3 sigma.",
         figures={"cause_bars": bars("cause", bars="hsfe_arcsec", by="axis", width="half", aspect_ratio=0.75)},
     ),
-    "parts": Section(record=TermParts, rows="axis", caption="Parts of the terms, 3 sigma."),
+    "parts": Section(record=TermBreakdown, rows="axis", caption="Parts of the terms, 3 sigma."),
     "chromatic": TABLE1,
     "collimator": COLLIMATOR,
     **attitude.SECTIONS,

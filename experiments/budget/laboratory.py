@@ -31,25 +31,37 @@ from render.sensor_file.detector import overridden
 from render.sensor_file.filters import Filter, interference_filters, open_band
 from render.sensor_file.instrument import Instrument, build_instrument, configured_detector, configured_lens
 
+PIXEL_APERTURE_PX2 = 1.0 / 12.0
+"""Variance per axis of the pixel aperture, a uniform distribution over one pixel."""
+EDGE_MARGIN_PX = 100.0
+"""Distance of the outer target points of the step test from the edge of the detector."""
+GOLDEN_RATIO = 0.618
+"""Inverse golden ratio: multiples modulo 1 fill an interval evenly for any number of them."""
+ROW_STEP_PX = 0.37
+"""Row from one field position of the step test to the next: each samples another pixel phase of the S-curve."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BudgetLaboratory:
     """The instrument and the targets in front of it."""
 
     config: BudgetConfig
-    instrument: Instrument  # The camera, its element moved, its detector as overridden
+    instrument: Instrument  # Camera with the perturbed lens and the overridden detector
     bench: Bench  # Point target in the full pass band: temporal, pixel and distortion terms
     filtered: Bench  # Point target behind the filters: chromatic term
-    signal: Signal  # Of a point, and the star that it means
+    signal: Signal  # Electrons of a point per frame, and the star that gives as many
 
     def with_epsf(self, epsf: EffectivePsf, sessions: Sequence[EffectivePsf] = ()) -> BudgetLaboratory:
-        """The laboratory with a PSF built from frames, and drawn alternatives."""
-        bench, filtered = (replace(b, epsf=epsf, sessions=sessions) for b in (self.bench, self.filtered))
-        return replace(self, bench=bench, filtered=filtered)
+        """The laboratory with a PSF built from frames, and Monte-Carlo realisations of that PSF."""
+        return replace(
+            self,
+            bench=replace(self.bench, epsf=epsf, sessions=sessions),
+            filtered=replace(self.filtered, epsf=epsf, sessions=sessions),
+        )
 
 
-def moved_lens(lens: LensSystem, moved: MovedConfig) -> LensSystem:
-    """The lens with the configured displacement of an element; the lens itself without one."""
+def perturbed_lens(lens: LensSystem, moved: MovedConfig) -> LensSystem:
+    """The lens with the configured misalignment of an element; the same object without misalignment."""
     if moved == MovedConfig():  # its default element is one of the built-in lens
         return lens
     lens.indices_of(moved.element)
@@ -64,8 +76,8 @@ def moved_lens(lens: LensSystem, moved: MovedConfig) -> LensSystem:
 def build_laboratory(config: BudgetConfig, lens: LensSystem | None = None) -> BudgetLaboratory:
     """Instrument and benches of a configuration."""
     detector = overridden(configured_detector(config.instrument), config.detector)
-    prescription = moved_lens(configured_lens(config.instrument), config.moved) if lens is None else lens
-    prescription.check_surfaces()  # moved elements and temperature need a prescription
+    prescription = perturbed_lens(configured_lens(config.instrument), config.moved) if lens is None else lens
+    prescription.check_surfaces()  # misalignment and temperature need a prescription
     instrument = build_instrument(config.instrument, prescription, detector)
     filters = interference_filters(config.filters)
     passband = open_band(config.passband, instrument, "open")
@@ -106,14 +118,16 @@ def half_field(instrument: Instrument) -> FloatArray:
 def check_laboratory(lab: BudgetLaboratory) -> None:
     """Refuse spots wider than the window, and points that saturate.
 
-    The brightest pixel of a Gaussian spot of variance s^2 per axis, s small to large against a pixel, has about
-    1 / (2 pi s^2 + 1) of its light.
+    The brightest pixel of a Gaussian spot is taken to hold 1 / (2 pi s^2 + 1) of its electrons, with s^2 = variance of
+    the spot per axis plus 1/12 px^2, the variance of the pixel aperture. A spot centred on a pixel exceeds this by up
+    to a half: settings are refused that saturate for the majority of pixel phases.
     """
-    saturation_e, signal_e = lab.instrument.detector.saturation_e, lab.signal.signal_e
+    saturation_e = lab.instrument.detector.saturation_e
+    signal_e = lab.signal.signal_e
     corners = corner_directions(lab.config.target, lab.instrument)
     check_light(lab.filtered, lab.instrument, corners)
     _, radius_px, _ = expected_spots(lab.filtered, lab.instrument, corners)
-    variance_px2 = float(np.nanmin(radius_px)) ** 2 / 2.0 + lab.instrument.camera.blur_px**2 + 1.0 / 12.0
+    variance_px2 = float(np.nanmin(radius_px)) ** 2 / 2.0 + lab.instrument.camera.blur_px**2 + PIXEL_APERTURE_PX2
     if signal_e / (2.0 * np.pi * variance_px2 + 1.0) > saturation_e:
         raise DomainError(
             f"source: a point of {signal_e:g} e- saturates its brightest pixel (it holds {saturation_e:.0f} e-); "
@@ -126,47 +140,56 @@ def grid_streams(lab: BudgetLaboratory) -> Streams:
     return Streams(lab.config.seed).child("budget", "grid")
 
 
-def marking(lab: BudgetLaboratory) -> ErrorTerm:
-    """C2, the marking error of the target: an input."""
+def target_survey_term(lab: BudgetLaboratory) -> ErrorTerm:
+    """LSFE-C2, three times the error of the target coordinates (ACC18: marking error): an input."""
     return ErrorTerm(arcsec=np.full(2, 3.0 * lab.config.grid.marking_error_arcsec))
 
 
-def places_px(lab: BudgetLaboratory) -> FloatArray:
-    """Middles (q, 2) [px] of the target in the step test: along the detector, the first in the middle of chip one."""
-    detector, target = lab.instrument.detector, lab.config.target
-    centre_x, centre_y = (detector.chip_width_px - 1) / 2, (detector.chip_height_px - 1) / 2
-    margin = (target.columns - 1) * target.pitch_px / 2 + 100.0
-    low, high = margin, lab.instrument.camera.width_px - 1 - margin
+def field_positions_px(lab: BudgetLaboratory) -> FloatArray:
+    """Centres (q, 2) [px] of the target in the step test: along the detector, the first at the centre of chip one."""
+    detector = lab.instrument.detector
+    target = lab.config.target
+    centre_x = (detector.chip_width_px - 1) / 2
+    centre_y = (detector.chip_height_px - 1) / 2
+    low = (target.columns - 1) * target.pitch_px / 2 + EDGE_MARGIN_PX
+    high = lab.instrument.camera.width_px - 1 - low
     number = np.arange(1, lab.config.steps.places)
-    # golden-ratio sequence along the columns; rows differ by fractions of a pixel: another part of the S-curve each
-    columns, rows = low + (high - low) * np.modf(number * 0.618)[0], centre_y + 0.37 * number
+    columns = low + (high - low) * np.modf(number * GOLDEN_RATIO)[0]
+    rows = centre_y + ROW_STEP_PX * number
     return np.column_stack([[centre_x, *columns], [centre_y, *rows]])
 
 
 _CACHE: OrderedDict[tuple[Any, ...], Any] = OrderedDict()
 _CACHE_SIZE = 32
-_NO_LIGHT: dict[str, Any] = {
-    **dict.fromkeys(("frames", "dark_frames", "centroid", "compare", "hexapod", "attitude", "thermal"), True),
-    **dict.fromkeys(("published_within_fraction", "predict_only"), True),
+_PSF_INDEPENDENT_SETTINGS: dict[str, Any] = {
+    "frames": True,
+    "dark_frames": True,
+    "centroid": True,
+    "compare": True,
+    "hexapod": True,
+    "attitude": True,
+    "thermal": True,
+    "published_within_fraction": True,
+    "predict_only": True,
     "source": {"signal_e", "magnitude_mag"},
     "grid": {"marking_error_arcsec", "surveys", "order", "reference"},
     "detector": {"read_noise_e", "prnu", "dark_current_e_per_s", "sensor_seed"},
 }
-"""Settings on which no PSF depends."""
+"""Settings on which no PSF depends, as pydantic's ``exclude``: True excludes a table or key, a set keys of a table."""
 
 
-def psfs(lab: BudgetLaboratory, bench: Bench, target: str, direction: FloatArray) -> tuple[EffectivePsf, ...]:
-    """PSFs of points (j, 3), by the name of the target."""
-    return rendered_once(lab, bench, target, lambda: point_scene(bench, lab.instrument).psfs(direction))
+def cached_psfs(lab: BudgetLaboratory, bench: Bench, target: str, direction: FloatArray) -> tuple[EffectivePsf, ...]:
+    """PSFs of target points (j, 3), rendered once per named target (`cached_light`)."""
+    return cached_light(lab, bench, target, lambda: point_scene(bench, lab.instrument).psfs(direction))
 
 
-def rendered_once(lab: BudgetLaboratory, bench: Bench, target: str, make: Callable[[], Any]) -> Any:
-    """Anything that depends on the light alone: a sweep over the read noise renders it once."""
-    without_psf = all(has_matched_epsf(method) for method in bench.methods)  # the chromatic target is traced alone then
-    camera = repr((lab.instrument.camera, lab.instrument.camera.lens.surfaces))  # files may change under one name
-    key = (target, without_psf, camera, lab.config.model_dump_json(exclude=_NO_LIGHT))
+def cached_light(lab: BudgetLaboratory, bench: Bench, target: str, render: Callable[[], Any]) -> Any:
+    """Result of ``render``, which depends on the lens and the target only: a sweep over the read noise renders once."""
+    all_matched = all(has_matched_epsf(method) for method in bench.methods)  # the chromatic target then needs no PSF
+    camera = repr((lab.instrument.camera, lab.instrument.camera.lens.surfaces))  # a lens file may change, its name not
+    key = (target, all_matched, camera, lab.config.model_dump_json(exclude=_PSF_INDEPENDENT_SETTINGS))
     if key not in _CACHE:
-        _CACHE[key] = make()
+        _CACHE[key] = render()
         if len(_CACHE) > _CACHE_SIZE:
             _CACHE.popitem(last=False)
     _CACHE.move_to_end(key)

@@ -1,7 +1,7 @@
 """Every term measured in the virtual laboratory, for every centroider on the same frames.
 
-Where the document's test is one random sample (one path of the platform, one survey of the target), it is repeated and
-its RMS taken, so that its uncertainty is small against 10 %.
+Where ACC18's test is one random sample (one path of the hexapod, one survey of the target), it is repeated and the RMS
+of the results is taken, so that the uncertainty of the term is small against 10 %.
 """
 
 from __future__ import annotations
@@ -16,7 +16,13 @@ from calib.accuracy.budget_comparison import repeated_term, survey_term
 from calib.accuracy.error_budget import ErrorBudget, ErrorTerm, combine
 from calib.accuracy.step_prediction import rms_over
 from experiments.budget.chromatic import ChromaticTerm, measured_terms
-from experiments.budget.laboratory import BudgetLaboratory, grid_streams, half_field, marking, places_px
+from experiments.budget.laboratory import (
+    BudgetLaboratory,
+    field_positions_px,
+    grid_streams,
+    half_field,
+    target_survey_term,
+)
 from experiments.laboratory.bench.centroid_methods import needs_measured_epsf
 from experiments.laboratory.bench.epsf_session import epsf_session, measured_epsf
 from experiments.laboratory.bench.points import point_scene
@@ -26,15 +32,19 @@ from experiments.laboratory.temporal_error import measure_temporal, star_target_
 from optics.arrays import FloatArray
 from render.engine.random import Streams
 
+TEMPORAL_SERIES = 1
+CHROMATIC_CORNERS = 4
+DISTORTION_SERIES = 2  # One for the camera, one for the polynomial
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuredTerms:
     """A budget from frames; arcsec are 3 sigma."""
 
-    budget: ErrorBudget  # The terms
+    budget: ErrorBudget  # Terms and their sums (ACC18 eq. 31-32)
     single_position_arcsec: FloatArray  # (2,) HSFE of one position against the truth, without temporal noise
-    sigma_d_arcsec: FloatArray  # (2,) Residuals before the polynomial, RMS over the surveys
-    sigma_dd_arcsec: FloatArray  # (2,) Residuals after it, RMS over the surveys
+    sigma_d_arcsec: FloatArray  # (2,) sigma_d, residuals before the polynomial, RMS over the surveys
+    sigma_dd_arcsec: FloatArray  # (2,) sigma_Dd, residuals after the polynomial, RMS over the surveys
     # (2,) sigma_C1 of the first survey: the number that a laboratory with a single survey would print
     c1_single_survey_arcsec: FloatArray
     c1_survey_scatter_arcsec: FloatArray  # (2,) Standard deviation of sigma_C1 from survey to survey
@@ -76,7 +86,7 @@ def measure_terms(
             scene=scene,
             advance=advance,
         )
-        for number, centre_px in enumerate(places_px(lab).tolist())
+        for number, centre_px in enumerate(field_positions_px(lab).tolist())
     ]
     chromatic = measured_terms(lab, root.child("LSFE-S"), advance=advance)
     distortion = measure_distortion(
@@ -89,8 +99,10 @@ def measure_terms(
         scene=scene,
         advance=advance,
     )
-    c2 = survey_term(distortion.surveyed) or marking(lab)
-    scale, surveys, measured = 3.0 * instrument.pixel_arcsec, len(distortion.surveyed), {}
+    c2 = survey_term(distortion.surveyed) or target_survey_term(lab)
+    scale = 3.0 * instrument.pixel_arcsec
+    surveys = len(distortion.surveyed)
+    measured = {}
     for method in lab.bench.methods:
         # sigma_d, sigma_Dd, sigma_C1 of every survey (q, 3, 2), their RMS and their scatter
         sigma_arcsec = scale * distortion.over_surveys(method, grid.reference)
@@ -99,7 +111,7 @@ def measure_terms(
         terms = {
             "TE": temporal.temporal_error(method),
             "HSFE": repeated_term([test.high_frequency_error(method) for test in step_tests]),
-            "LSFE-S": chromatic[method].value(),
+            "LSFE-S": chromatic[method].error_term(),
             "LSFE-C1": ErrorTerm(
                 arcsec=sigma_c1,
                 uncertainty_arcsec=c1_scatter / np.sqrt(surveys),
@@ -131,7 +143,8 @@ def _builds_epsf(lab: BudgetLaboratory) -> bool:
     return any(needs_measured_epsf(method) for method in lab.bench.methods)
 
 
-def steps_of(lab: BudgetLaboratory) -> int:
+def count_advances(lab: BudgetLaboratory) -> int:
     """Number of calls of ``advance`` by `measure_terms`."""
     epsf_positions = epsf_session(lab.bench).positions if _builds_epsf(lab) else 0
-    return epsf_positions + 1 + lab.config.steps.places * lab.config.steps.positions + 4 + 2
+    step_positions = lab.config.steps.places * lab.config.steps.positions
+    return epsf_positions + TEMPORAL_SERIES + step_positions + CHROMATIC_CORNERS + DISTORTION_SERIES

@@ -1,9 +1,13 @@
 """Every term predicted without frames, for every centroider, by `experiments.laboratory`.
 
-For sweeps a cheaper prediction is used (`coarse_terms`): the main centroider alone, a target of 3 x 3 points over the
-same area, filters with the PSF of its middle point, half the positions of the step test on an ideal platform at one
-place, fewer draws, the same everywhere. The star mean that eq. 8 removes takes 1/W of an independent error; the pixel
-term is scaled from W = 9 to the target's own number of stars.
+Sweeps use a reduced prediction (`coarse_terms`) of the main centroider:
+
+- target of 3 x 3 points over the same area; every filter with the PSF of the central point
+- at most six positions of the step test, without step errors of the hexapod, at the first field position
+- fewer Monte-Carlo samples; no bad pixels
+
+ACC18 eq. 8 subtracts the mean over the W stars of the target, which leaves the variance sigma^2 (1 - 1/W) of errors
+that are independent from star to star: the HSFE of W = 9 is multiplied by sqrt((1 - 1/W) / (1 - 1/9)).
 """
 
 from __future__ import annotations
@@ -22,12 +26,12 @@ from experiments.budget.chromatic import ChromaticTerm, predicted_terms, trace_t
 from experiments.budget.laboratory import (
     BudgetLaboratory,
     build_laboratory,
+    cached_light,
+    cached_psfs,
     check_laboratory,
+    field_positions_px,
     grid_streams,
-    marking,
-    places_px,
-    psfs,
-    rendered_once,
+    target_survey_term,
 )
 from experiments.budget.settings import BudgetConfig
 from experiments.laboratory.bench.centroid_methods import needs_measured_epsf
@@ -42,11 +46,16 @@ from render.detector.maps import sensor_maps
 STEP_NOISE_DRAWS = 60
 """Noisy copies of each window of the step test: their mean is then good to an eighth of the noise of a frame."""
 
-SESSIONS = 8
-"""Drawn sets of frames from which a PSF is built: its scatter is then known to a quarter."""
+EPSF_REALISATIONS = 8
+"""Monte-Carlo realisations of a PSF built from frames: its standard deviation is then known to a quarter."""
 
-COARSE_POINTS, COARSE_POSITIONS, COARSE_DRAWS = 3, 6, 60
-"""Points along a side of the target, positions of the step test and noisy copies of `coarse_terms`."""
+COARSE_POINTS = 3
+"""Points along a side of the target of `coarse_terms`."""
+COARSE_POSITIONS = 6
+"""Largest number of positions of the step test of `coarse_terms`."""
+COARSE_DRAWS = 60
+"""Noisy copies of each window of `coarse_terms`."""
+COARSE_EPSF_REALISATIONS = 2
 
 _CAUSE_LABELS = {"s_curve": "S-curve", "prnu": "PRNU", "pattern": "offset pattern", "defects": "defects"}
 
@@ -55,12 +64,12 @@ _CAUSE_LABELS = {"s_curve": "S-curve", "prnu": "PRNU", "pattern": "offset patter
 class PredictedTerms:
     """A budget without frames; arcsec are 3 sigma."""
 
-    budget: ErrorBudget  # The terms
+    budget: ErrorBudget  # Terms and their sums (ACC18 eq. 31-32)
     te_cramer_rao_arcsec: FloatArray  # (2,) Cramer-Rao bound of the temporal error
     causes_arcsec: Mapping[str, FloatArray]  # (2,) Contributions to the HSFE by label
     single_position_arcsec: FloatArray  # (2,) HSFE of one position, without temporal noise
-    sigma_d_arcsec: FloatArray  # (2,) Residuals before the polynomial
-    sigma_dd_arcsec: FloatArray  # (2,) Residuals after it
+    sigma_d_arcsec: FloatArray  # (2,) sigma_d, residuals before the polynomial
+    sigma_dd_arcsec: FloatArray  # (2,) sigma_Dd, residuals after the polynomial
     c1_marking_errors_arcsec: FloatArray  # (2,) sigma_C1 of a perfect camera and frames without noise
     chromatic: ChromaticTerm  # Table 1
 
@@ -74,107 +83,112 @@ def predict_terms(
 ) -> dict[str, PredictedTerms]:
     """Predict every term, by centroider."""
     config, instrument, seed = lab.config, lab.instrument, lab.config.seed
-    psf = psfs(lab, lab.bench, "place 0", star_target_directions(lab.bench, instrument))
+    psf = cached_psfs(lab, lab.bench, "field position 0", star_target_directions(lab.bench, instrument))
     if any(needs_measured_epsf(method) for method in lab.bench.methods):
-        sessions = predicted_epsfs(lab.bench, instrument, psf, seed=seed, sessions=2 if coarse else SESSIONS)
-        lab = lab.with_epsf(sessions[0], sessions)
+        realisations = COARSE_EPSF_REALISATIONS if coarse else EPSF_REALISATIONS
+        epsfs = predicted_epsfs(lab.bench, instrument, psf, seed=seed, sessions=realisations)
+        lab = lab.with_epsf(epsfs[0], epsfs)
     defect = None if coarse else sensor_maps(instrument.detector).defect
     scale = 3.0 * instrument.pixel_arcsec
     temporal = predict_temporal(lab.bench, instrument, psf=psf, draws=draws, defect=defect, seed=seed)
-    step_tests = _step_predictions(lab, step_draws, defect, coarse=coarse)
+    step_tests = _predict_step_tests(lab, step_draws, defect, coarse=coarse)
     target = "chromatic, coarse" if coarse else "chromatic"
-    traced = rendered_once(lab, lab.filtered, target, lambda: trace_target(lab, coarse=coarse))
+    traced = cached_light(lab, lab.filtered, target, lambda: trace_target(lab, coarse=coarse))
     chromatic = predicted_terms(lab, traced, draws=draws, defect=defect)
-    grid, direction = config.grid, grid_directions(config.grid, instrument, grid_streams(lab))
+    grid = config.grid
+    direction = grid_directions(grid, instrument, grid_streams(lab))
     distortion = predict_distortion(
         lab.bench,
         instrument,
         grid,
         direction,
-        psf=psfs(lab, lab.bench, "grid", direction),
+        psf=cached_psfs(lab, lab.bench, "grid", direction),
         order=grid.order,
         references=(grid.reference,),
         noise_draws=2 * draws,
         defect=defect,
         seed=seed,
     )
-    marking_errors_px = expected_numbers(marking_errors(grid, instrument, direction), grid.order, grid.reference).rms_px
+    survey_errors = marking_errors(grid, instrument, direction)
+    _, _, c1_of_survey_px = expected_numbers(survey_errors, grid.order, grid.reference).rms_px
     c4 = small_sample_factor(config.frames)  # ACC18 averages standard deviations of N frames
     predictions = {}
     for method in lab.bench.methods:
         sampled = temporal.sampled_error(method)
         steps = [step_test[method] for step_test in step_tests]
         sigma_d, sigma_dd, sigma_c1 = scale * distortion.mean_px[method][grid.reference]
-        c1_scatter = scale * distortion.of_surveys_px(method, grid.reference, grid.surveys)[2]
+        _, _, c1_uncertainty = scale * distortion.of_surveys_px(method, grid.reference, grid.surveys)
         terms = {
             "TE": ErrorTerm(arcsec=c4 * sampled.arcsec, uncertainty_arcsec=c4 * sampled.uncertainty_arcsec),
             "HSFE": step_term(steps, places=config.steps.places, pixel_arcsec=instrument.pixel_arcsec),
-            "LSFE-S": chromatic[method].value(),
-            "LSFE-C1": ErrorTerm(arcsec=sigma_c1, uncertainty_arcsec=c1_scatter),
-            "LSFE-C2": marking(lab),
+            "LSFE-S": chromatic[method].error_term(),
+            "LSFE-C1": ErrorTerm(arcsec=sigma_c1, uncertainty_arcsec=c1_uncertainty),
+            "LSFE-C2": target_survey_term(lab),
         }
         predictions[method] = PredictedTerms(
             budget=combine(terms, stars=config.attitude.stars),
             te_cramer_rao_arcsec=temporal.arcsec(temporal.bound_px[0]),
-            causes_arcsec={label: scale * rms_px for label, rms_px in _causes_px(steps).items()},
+            causes_arcsec={label: scale * rms_px for label, rms_px in _hsfe_contributions_px(steps).items()},
             single_position_arcsec=scale * rms_over([step.position_rms_px for step in steps]),
             sigma_d_arcsec=sigma_d,
             sigma_dd_arcsec=sigma_dd,
-            c1_marking_errors_arcsec=scale * marking_errors_px[2],
+            c1_marking_errors_arcsec=scale * c1_of_survey_px,
             chromatic=chromatic[method],
         )
     return predictions
 
 
 def coarse_terms(config: BudgetConfig) -> PredictedTerms:
-    """A budget predicted cheaply (see the module), of the main centroider.
+    """Reduced prediction (see the module) of the main centroider.
 
     Raises
     ------
     StarbenchError
         On light that misses the detector or its windows, or saturates it.
     """
-    coarse, factor = _coarse(config.model_copy(update={"compare": ()}))
+    coarse, hsfe_factor = _reduce_settings(config.model_copy(update={"compare": ()}))
     lab = build_laboratory(coarse)
     check_laboratory(lab)
     terms = predict_terms(lab, draws=COARSE_DRAWS, step_draws=COARSE_DRAWS, coarse=True)[config.centroid]
     budget, hsfe = terms.budget, terms.budget["HSFE"]
-    scaled = ErrorTerm(arcsec=hsfe.arcsec * factor, uncertainty_arcsec=hsfe.uncertainty_arcsec * factor)
+    scaled = ErrorTerm(arcsec=hsfe.arcsec * hsfe_factor, uncertainty_arcsec=hsfe.uncertainty_arcsec * hsfe_factor)
     return replace(
         terms,
         budget=combine({**budget.term, "HSFE": scaled}, stars=config.attitude.stars),
-        causes_arcsec={name: value * factor for name, value in terms.causes_arcsec.items()},
+        causes_arcsec={cause: hsfe_arcsec * hsfe_factor for cause, hsfe_arcsec in terms.causes_arcsec.items()},
     )
 
 
-def _coarse(config: BudgetConfig) -> tuple[BudgetConfig, float]:
-    """Configuration with a 3 x 3 target, and the factor of the pixel term."""
+def _reduce_settings(config: BudgetConfig) -> tuple[BudgetConfig, float]:
+    """Configuration with a 3 x 3 target, and the factor of its HSFE for the W of the full target (eq. 8, see above)."""
     target = config.target
     if target.rows != target.columns or target.rows <= COARSE_POINTS:
         return config, 1.0
-    # whole pixels and a third, so that the three points of a row have three different pixel phases
+    # an integer number of pixels and a third, so that the three points of a row have three different pixel phases
     pitch = np.floor(target.pitch_px * (target.rows - 1) / (COARSE_POINTS - 1)) - 2.0 / 3.0
     coarse = target.model_copy(update={"rows": COARSE_POINTS, "columns": COARSE_POINTS, "pitch_px": float(pitch)})
-    factor = np.sqrt((1.0 - 1.0 / target.rows**2) / (1.0 - 1.0 / COARSE_POINTS**2))
+    hsfe_factor = np.sqrt((1.0 - 1.0 / target.rows**2) / (1.0 - 1.0 / COARSE_POINTS**2))
     steps = config.steps.model_copy(update={"positions": min(COARSE_POSITIONS, config.steps.positions)})
-    return config.model_copy(update={"target": coarse, "steps": steps}), float(factor)
+    return config.model_copy(update={"target": coarse, "steps": steps}), float(hsfe_factor)
 
 
-def _step_predictions(
+def _predict_step_tests(
     lab: BudgetLaboratory, draws: int, defect: NDArray[np.bool_] | None, *, coarse: bool
 ) -> list[Mapping[str, StepPrediction]]:
-    """The step test at places along the detector, by centroider."""
+    """The step test (ACC18 eq. 8-12) at positions along the detector, by centroider."""
     bench, instrument = lab.bench, lab.instrument
-    # the PSF changes slowly over the field, so that every second place suffices; the S-curve of one PSF for the whole
-    # field depends on the mismatch, which does not
+    # the PSF changes slowly over the field, so that every second position suffices; with one PSF for the entire field
+    # the S-curve follows the PSF mismatch, which changes fast
     stride = 1 if any(needs_measured_epsf(method) for method in bench.methods) else 2
     predictions = []
-    for number, centre_px in enumerate(places_px(lab)[: 1 if coarse else None : stride].tolist()):
+    for number, centre_px in enumerate(field_positions_px(lab)[: 1 if coarse else None : stride].tolist()):
         predicted = predict_high_frequency(
             bench,
             instrument,
             lab.config.steps,
-            psf=psfs(lab, bench, f"place {number}", star_target_directions(bench, instrument, centre_px)),
+            psf=cached_psfs(
+                lab, bench, f"field position {number}", star_target_directions(bench, instrument, centre_px)
+            ),
             hexapod=lab.config.hexapod.model_copy(update={"step_error_arcsec": 0.0} if coarse else {}),
             place_px=centre_px,
             defect=defect,
@@ -186,9 +200,9 @@ def _step_predictions(
     return predictions
 
 
-def _causes_px(steps: Sequence[StepPrediction]) -> dict[str, FloatArray]:
-    """Contributions (2,) to the RMS of steps [px], RMS over the places, by label."""
-    parts_px = {label: [step.cause_px[cause] for step in steps] for cause, label in _CAUSE_LABELS.items()}
-    parts_px["averaged noise"] = [np.hypot(step.temporal_px, step.dark_px) for step in steps]
-    parts_px["roll of the platform"] = [step.roll_px for step in steps]
-    return {label: rms_over(place_px) for label, place_px in parts_px.items()}
+def _hsfe_contributions_px(steps: Sequence[StepPrediction]) -> dict[str, FloatArray]:
+    """Contributions (2,) to the RMS of steps [px], RMS over the field positions, by label."""
+    contributions_px = {label: [step.cause_px[cause] for step in steps] for cause, label in _CAUSE_LABELS.items()}
+    contributions_px["averaged noise"] = [np.hypot(step.temporal_px, step.dark_px) for step in steps]
+    contributions_px["roll of the platform"] = [step.roll_px for step in steps]
+    return {label: rms_over(steps_px) for label, steps_px in contributions_px.items()}

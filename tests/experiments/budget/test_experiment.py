@@ -50,7 +50,7 @@ def run(engine, tiny_chip):
     texts = [f"{key}={json.dumps(value)}" for key, value in TINY.items() if not isinstance(value, dict)]
     texts += [f"{k}.{n}={json.dumps(v)}" for k, of in TINY.items() if isinstance(of, dict) for n, v in of.items()]
     config = load_config(BudgetConfig, settings=[f"instrument.detector={tiny_chip}", *texts])
-    few = ((predict, "STEP_NOISE_DRAWS", 12), (predict, "SESSIONS", 2), (high_frequency_model, "PATHS", 4))
+    few = ((predict, "STEP_NOISE_DRAWS", 12), (predict, "EPSF_REALISATIONS", 2), (high_frequency_model, "PATHS", 4))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(epsf_session, "build_epsf", lambda *_, **__: built)
         for module, name, count in few:
@@ -68,7 +68,7 @@ def numbers(column):
 def test_marking_error_is_what_was_put_in(run):
     """C2 is three times the marking error; k coefficients take sqrt((k - 1) / (W - 1)) of that into C1."""
     terms, free = run[1]["terms"], np.sqrt((COEFFICIENTS - 1) / (POINTS - 1))
-    c1, c2 = (experiment.EVERY.index(name) for name in ("LSFE-C1", "LSFE-C2"))
+    c1, c2 = (experiment.ALL_TERMS.index(name) for name in ("LSFE-C1", "LSFE-C2"))
     predicted, seen = numbers(terms.predicted_arcsec)[..., 0], numbers(terms.measured_arcsec)[..., 0]
     np.testing.assert_allclose(predicted[c2], 3 * MARKING_ARCSEC)
     np.testing.assert_allclose(seen[c2], 3 * MARKING_ARCSEC, rtol=4.0 / np.sqrt(2.0 * POINTS * SURVEYS))
@@ -84,10 +84,10 @@ def test_temporal_term_and_sums_agree(run):
         te, hsfe, s, c1, c2, lsfe, total, _ = numbers(getattr(sections["terms"], f"{side}_arcsec"))[..., 0]
         np.testing.assert_allclose(lsfe, np.hypot(s, c1 + c2))
         np.testing.assert_allclose(total, np.sqrt(te**2 + hsfe**2 + lsfe**2))
-    ratio = numbers(sections["terms"].ratio)[experiment.EVERY.index("TE"), :, 0]
+    ratio = numbers(sections["terms"].ratio)[experiment.ALL_TERMS.index("TE"), :, 0]
     np.testing.assert_allclose(ratio, 1.0, atol=0.6)
-    first = numbers(alone["terms"].predicted_arcsec)[experiment.EVERY.index("TE"), :, 0]
-    whole = numbers(sections["terms"].predicted_arcsec)[experiment.EVERY.index("TE"), :, 0]
+    first = numbers(alone["terms"].predicted_arcsec)[experiment.ALL_TERMS.index("TE"), :, 0]
+    whole = numbers(sections["terms"].predicted_arcsec)[experiment.ALL_TERMS.index("TE"), :, 0]
     np.testing.assert_allclose(first, whole, rtol=0.15)
 
 
@@ -99,11 +99,11 @@ def test_sections_of_a_run_and_of_a_prediction_alone(run):
     assert [one.stars for one in sections["attitude_curve"]] == [3, 12]
     assert sections["tuned"] is sections["collimator"] is sections["terms"].published_arcsec is None
     assert (alone["methods"], alone["terms"].measured_arcsec) == (None, None)
-    total = numbers(sections["terms"].predicted_arcsec)[experiment.EVERY.index("total"), :, 0]
+    total = numbers(sections["terms"].predicted_arcsec)[experiment.ALL_TERMS.index("total"), :, 0]
     assert sections["rms"].total_rms_arcsec == pytest.approx(np.sqrt((total**2).mean()))
     coarse = predict.coarse_terms(config)
     for name in ("TE", "HSFE", "LSFE-C1", "total"):
-        found = numbers(sections["terms"].predicted_arcsec)[experiment.EVERY.index(name), :, 0]
+        found = numbers(sections["terms"].predicted_arcsec)[experiment.ALL_TERMS.index(name), :, 0]
         np.testing.assert_allclose(coarse.budget[name].arcsec, found, rtol=0.25)
     assert coarse.causes_arcsec.keys() == {one.cause for one in alone["causes"]}
 

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from calib.accuracy.error_budget import ErrorTerm, combine
-from experiments.budget.chromatic import ChromaticTerm, table1_of
+from experiments.budget.chromatic import ChromaticTerm, tabulate_table1
 from experiments.budget.experiment import (
-    TESTED,
-    agreement,
-    conditions,
+    COMPARED_TERMS,
+    describe_conditions,
     deviations,
-    tuned,
+    judge_agreement,
+    match_published,
 )
-from experiments.budget.laboratory import build_laboratory, marking, places_px
+from experiments.budget.laboratory import build_laboratory, field_positions_px, target_survey_term
 from experiments.budget.settings import BudgetConfig
 from experiments.harness.config import load_config
 from experiments.laboratory.settings.published import ACC18_ARCSEC
@@ -43,18 +43,18 @@ def side(scale=1.0, uncertainty=0.03, table=None, n=0):
         name: ErrorTerm(arcsec=np.array([size, 2 * size]), uncertainty_arcsec=np.full(2, uncertainty), n=n)
         for name, size in sizes
     }
-    term["LSFE-S"] = table.value()
+    term["LSFE-S"] = table.error_term()
     return SimpleNamespace(budget=combine(term, stars=4), chromatic=table)
 
 
 def test_largest_entry_of_table_1_is_the_term():
     table = chromatic(-0.06, 0.003, n=80)
-    term = table.value()
+    term = table.error_term()
     assert term.arcsec == pytest.approx(PIXEL_ARCSEC * np.array([0.06, 0.05]))
     assert term.uncertainty_arcsec == pytest.approx(PIXEL_ARCSEC * np.array([0.003, 0.002]))
     assert term.n == 80
-    assert not replace(table, table1_px=np.full((2, 2), 1e-8)).value().arcsec.any()  # rounding of a trace
-    first, second = table1_of(chromatic(-0.05, 0.0), table)
+    assert not replace(table, table1_px=np.full((2, 2), 1e-8)).error_term().arcsec.any()  # rounding of a trace
+    first, second = tabulate_table1(chromatic(-0.05, 0.0), table)
     assert (first.pair, first.measured_px[0].value, first.measured_px[0].uncertainty) == ("600-500", -0.06, 0.003)
     assert (first.predicted_px[0], first.measured_px[0].n, second.rms_px[1]) == (-0.05, 80, 0.2)
 
@@ -64,27 +64,28 @@ def test_deviations_of_both_sides():
     entries = deviations(ours, theirs, "LSFE-S")
     assert entries[0, 0] == pytest.approx(0.01 / 0.005)
     assert entries[1] == pytest.approx([0.0, 0.0])
-    found = agreement(ours, theirs)
-    assert found.deviation_sigma[TESTED.index("LSFE-S")] == pytest.approx([2.0, 0.0])
-    assert found.deviation_sigma[TESTED.index("TE")] == pytest.approx(np.array([0.1, 0.2]) / np.hypot(0.02, 0.03))
-    assert found.term_sigma[TESTED.index("HSFE")] == pytest.approx(np.array([0.36, 0.72]) / 0.02)
-    assert found.term_sigma[TESTED.index("LSFE-C2")].tolist() == [0.0, 0.0]
-    assert found.frame_terms_ratio[0].value == pytest.approx(
+    comparison = judge_agreement(ours, theirs)
+    deviation_sigma = dict(zip(COMPARED_TERMS, comparison.deviation_sigma, strict=True))
+    assert deviation_sigma["LSFE-S"] == pytest.approx([2.0, 0.0])
+    assert deviation_sigma["TE"] == pytest.approx(np.array([0.1, 0.2]) / np.hypot(0.02, 0.03))
+    assert comparison.term_over_sigma[COMPARED_TERMS.index("HSFE")] == pytest.approx(np.array([0.36, 0.72]) / 0.02)
+    assert comparison.term_over_sigma[COMPARED_TERMS.index("LSFE-C2")].tolist() == [0.0, 0.0]
+    assert comparison.frame_terms_ratio[0].value == pytest.approx(
         np.linalg.norm([0.6, 0.36, 0.07 * PIXEL_ARCSEC]) / np.linalg.norm([0.5, 0.30, 0.06 * PIXEL_ARCSEC])
     )
 
 
-def test_an_aimed_budget_is_judged_by_the_published_one():
-    seen = side(1.0, 0.03)
-    assert tuned(load_config(BudgetConfig), seen) is None
-    aimed = tuned(load_config(BudgetConfig, settings=["published_within_fraction=0.1"]), seen)
-    assert aimed.over_published[0][0].value == pytest.approx(0.5 / ACC18_ARCSEC["TE"][0])
+def test_a_tuned_budget_is_judged_by_the_published_one():
+    measured = side(1.0, 0.03)
+    assert match_published(load_config(BudgetConfig), measured) is None
+    match = match_published(load_config(BudgetConfig, settings=["published_within_fraction=0.1"]), measured)
+    assert match.over_published[0][0].value == pytest.approx(0.5 / ACC18_ARCSEC["TE"][0])
 
 
 def test_laboratory_of_the_settings():
     settings = ["steps.step_px=0.2", "steps.places=3", "grid.marking_error_arcsec=0.4", "hexapod.roll_error_arcsec=9"]
     lab = build_laboratory(load_config(BudgetConfig, settings=[*settings, "grid.reference=nominal", "grid.order=2"]))
-    assert marking(lab).arcsec == pytest.approx([1.2, 1.2])
-    assert len(places_px(lab)) == 3
-    assert conditions(lab).frame_to_frame_arcsec is None  # a collimator at rest
-    assert conditions(lab).pixel_arcsec == pytest.approx(5.5, abs=0.1)
+    assert target_survey_term(lab).arcsec == pytest.approx([1.2, 1.2])
+    assert len(field_positions_px(lab)) == 3
+    assert describe_conditions(lab).frame_to_frame_arcsec is None  # a collimator at rest
+    assert describe_conditions(lab).pixel_arcsec == pytest.approx(5.5, abs=0.1)

@@ -7,7 +7,7 @@ from calib.accuracy import attitude_from_stars
 from calib.accuracy.attitude_from_stars import DirectionErrors
 from experiments.budget import attitude as attitude_module
 from experiments.budget.attitude import attitude_study
-from experiments.budget.laboratory import build_laboratory, half_field, moved_lens
+from experiments.budget.laboratory import build_laboratory, half_field, perturbed_lens
 from experiments.budget.settings import AttitudeConfig, BudgetConfig, MovedConfig
 from experiments.harness.config import load_config
 from experiments.harness.quantities import Outcome, Quantities
@@ -43,17 +43,17 @@ def test_moved_element_shifts_the_image_as_its_power_says(star_camera):
     from optics.rays.chief_ray import chief_ray_points
 
     lens = load_lens("star_camera_206mm")
-    assert moved_lens(lens, MovedConfig()) is lens
-    places = []
+    assert perturbed_lens(lens, MovedConfig()) is lens
+    images = []
     for decentre in (50.0, -50.0):
-        moved = moved_lens(lens, MovedConfig(element="L2", decentre_y_um=decentre))
+        moved = perturbed_lens(lens, MovedConfig(element="L2", decentre_y_um=decentre))
         x, y = chief_ray_points(moved, np.zeros(1), np.zeros(1), np.array([600.0]))
-        places.append(star_camera.camera.to_pixel(x, y))
-    middle = star_camera.camera.centre_px
-    (up_x, up_y), (_, down_y) = places
-    assert float(up_x[0]) == pytest.approx(middle[0], abs=1e-6)
-    assert float(up_y[0] - middle[1]) == pytest.approx(-float(down_y[0] - middle[1]), rel=1e-3)
-    assert abs(float(up_y[0] - middle[1])) > 1.0
+        images.append(star_camera.camera.to_pixel(x, y))
+    centre = star_camera.camera.centre_px
+    (up_x, up_y), (_, down_y) = images
+    assert float(up_x[0]) == pytest.approx(centre[0], abs=1e-6)
+    assert float(up_y[0] - centre[1]) == pytest.approx(-float(down_y[0] - centre[1]), rel=1e-3)
+    assert abs(float(up_y[0] - centre[1])) > 1.0
     assert axial_paraxial(lens, 600.0).efl_mm > 0
 
 

@@ -9,7 +9,7 @@ from experiments.budget import thermal
 from experiments.budget.experiment import axes
 from experiments.budget.laboratory import build_laboratory
 from experiments.budget.settings import BudgetConfig
-from experiments.budget.thermal import GRID, THERMAL, field_directions, thermal_term, warmed
+from experiments.budget.thermal import GRID, THERMAL, field_directions, thermal_term, with_lens_offset
 from experiments.harness.config import load_config
 from experiments.harness.quantities import Outcome
 from experiments.harness.sections import described, judged
@@ -26,7 +26,7 @@ def test_the_image_grows_as_focal_length_and_housing_say(engine):
         direction = field_directions(lab)
         cold, warm = (
             bundle_prediction(end.bench, end.instrument, direction[None])[0, :, 0]
-            for end in (warmed(lab, -1.0), warmed(lab, 1.0))
+            for end in (with_lens_offset(lab, -1.0), with_lens_offset(lab, 1.0))
         )
         radius = cold - cold.mean(0)
         growth = ((warm - cold) * radius).sum() / (2.0 * (radius**2).sum()) * 1e6
@@ -39,16 +39,16 @@ def test_verdict_notices_a_lens_that_is_warmed_the_wrong_way(engine, monkeypatch
     lab = build_laboratory(load_config(BudgetConfig, settings=[*QUICK, "thermal.stability_k=3"]))
     noise = np.random.default_rng(3)
 
-    def exact(lab, ends, direction, streams):
-        found = [bundle_prediction(end.bench, end.instrument, direction[None])[0, :, 0] for end in ends]
-        return [one + 0.005 * noise.standard_normal(one.shape) for one in found]
+    def exact(lab, cold_warm, direction, streams):
+        if flipped:
+            cold_warm = cold_warm[::-1]
+        traced = [bundle_prediction(end.bench, end.instrument, direction[None])[0, :, 0] for end in cold_warm]
+        return [traced_px + 0.005 * noise.standard_normal(traced_px.shape) for traced_px in traced]
 
-    monkeypatch.setattr(thermal, "_mean_centroids", exact)
-    if flipped:
-        right = thermal.warmed
-        monkeypatch.setattr(thermal, "warmed", lambda lab, kelvin: right(lab, -kelvin))
+    monkeypatch.setattr(thermal, "_measure_centroids", exact)
     term = thermal_term(lab, Streams(5))
-    np.testing.assert_allclose([m.value for m in term.measured_scale_ppm_per_k], 33.0, atol=3.0)
+    measured_ppm_per_k = [axis.value for axis in term.measured_scale_ppm_per_k]
+    np.testing.assert_allclose(measured_ppm_per_k, -33.0 if flipped else 33.0, atol=3.0)
     np.testing.assert_allclose(term.scale_ppm_per_k, term.paraxial_ppm_per_k, atol=2.0)
     section, result = {"thermal": THERMAL}, {"thermal": term}
     outcome = Outcome(config=lab.config, result=result, data=described(section, axes(lab.config), result).dataset)
@@ -85,9 +85,9 @@ def test_stars_are_spread_over_the_detector_at_all_fractions_of_a_pixel(star_cam
     cell = np.floor((pixel + 0.5) / size).astype(int)
     assert len(set(map(tuple, cell))) == GRID[0] * GRID[1]
     assert (cell >= 0).all() and (cell < GRID).all()  # noqa: PT018
-    middle = (cell + 0.5) * size - 0.5
-    assert ((pixel - middle) >= -1e-6).all()
-    assert ((pixel - middle) < 1.0).all()
-    # a row of middles stands on one fraction; spread evenly it leaves at most gaps of a few over the number of stars
+    centre = (cell + 0.5) * size - 0.5
+    assert ((pixel - centre) >= -1e-6).all()
+    assert ((pixel - centre) < 1.0).all()
+    # cell centres have one pixel phase per row; spread evenly they leave at most gaps of a few over the number of stars
     fractions = np.sort(np.mod(pixel, 1.0), axis=0)
     assert np.diff(fractions, axis=0).max() < 4.0 / len(pixel)
