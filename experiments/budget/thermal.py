@@ -102,12 +102,11 @@ def thermal_term(lab: BudgetLaboratory, streams: Streams) -> ThermalTerm | str:
         return str(error)
     direction = field_directions(lab)
     nominal = nominal_px(lab.instrument, direction)
-    cold_traced_px, warm_traced_px = (
+    traced_px = [
         bundle_prediction(one_filter(lab_at.bench), lab_at.instrument, direction[None])[0, :, 0] for lab_at in cold_warm
-    )
-    cold_centroid_px, warm_centroid_px = _measure_centroids(lab, cold_warm, direction, streams)
-    predicted_px_per_k = (warm_traced_px - cold_traced_px) / (2.0 * stability_k)
-    measured_px_per_k = (warm_centroid_px - cold_centroid_px) / (2.0 * stability_k)
+    ]
+    predicted_px_per_k = _sensitivity_px_per_k(*traced_px, stability_k)
+    measured_px_per_k = _sensitivity_px_per_k(*_measure_centroids(lab, cold_warm, direction, streams), stability_k)
     scale = stability_k * lab.instrument.pixel_arcsec  # stability_k is 3 sigma_T
     rms_arcsec, rms_sigma_arcsec = scale * np.array(smooth_map_rms(nominal, measured_px_per_k))
     scale_change_per_k, focus_um_per_k = paraxial_change_per_k(cold, warm, STEP_K)
@@ -124,6 +123,11 @@ def thermal_term(lab: BudgetLaboratory, streams: Streams) -> ThermalTerm | str:
         focus_um_per_k=focus_um_per_k,
         outermost_star_px_per_k=float(np.hypot(*relative_px_per_k.T).max()),
     )
+
+
+def _sensitivity_px_per_k(cold_px: FloatArray, warm_px: FloatArray, stability_k: float) -> FloatArray:
+    """s (n, 2) of positions at -``stability_k`` and +``stability_k``."""
+    return (warm_px - cold_px) / (2.0 * stability_k)
 
 
 def _measure_centroids(
