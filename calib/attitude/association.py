@@ -7,7 +7,9 @@ left out: a wrong match costs a calibration more than a missing one.
 `match_stars` tolerates an attitude error. All pairs within a wide radius are candidates; two of them whose angle in the
 camera equals the angle in the catalogue propose an attitude (Fischler and Bolles 1981, Commun. ACM 24, 381; all pairs
 or an even selection of them, no random draw), and the attitude that explains most detections is taken. `associate` and
-Wahba's problem are then iterated until the matches are stable. The result is accepted if the number of matches is
+Wahba's problem are then iterated until the matches are stable. Where that explains nothing (false detections by the
+hundred make most pairs wrong), all pairs first vote on the correction of the attitude (Hough transform: cells of the
+rotation vector), and only those of the fullest cell propose. The result is accepted if the number of matches is
 improbable by chance (`calib.attitude.false_match_probability`). Otherwise the flipped image is tried, to distinguish a
 mirrored sky from an empty one.
 """
@@ -33,6 +35,8 @@ MAX_CANDIDATES = 600  # candidates from which proposals are made
 MAX_PROPOSALS = 2000  # attitudes that are tried
 LARGEST_FALSE_MATCH_PROBABILITY = 1e-6  # above it no match is claimed
 MAX_ROUNDS = 20
+MAX_PAIRS = 10_000  # that propose before a vote
+CELLS = 50  # of a vote, at most, from the given direction to the radius
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -263,21 +267,30 @@ def _match(
             "3 of both are needed",
         )
     tolerance_rad = tolerance_px * model.pixel_angle_rad
-    best, proposals = _best_proposal(v_cam[pairs.detected], direction[pairs.catalogue], pairs, tolerance_rad)
-    association, solution = _refined(pixel, v_cam, direction, best, model, tolerance_px, band)
-    probability = false_match_probability(
-        len(association),
-        usable,
-        proposals,
-        stars=association.in_field,
-        radius_px=tolerance_px,
-        area_px2=model.geometry.width_px * model.geometry.height_px,
-    )
-    if solution is None or probability > LARGEST_FALSE_MATCH_PROBABILITY or solution.status == "degenerate":
+    cell_rad = max(tolerance_px, radius_px / CELLS) * model.pixel_angle_rad
+    for vote in (False, True) if len(pairs.detected) <= MAX_PAIRS else (True,):
+        chosen, cells = pairs, 1
+        if vote:
+            v_rough = attitude.apply(direction[pairs.catalogue])
+            rows, cells = _voted(v_cam[pairs.detected], v_rough, radius_px * model.pixel_angle_rad, cell_rad)
+            chosen = _Pairs(pairs.detected[rows], pairs.catalogue[rows], pairs.distance_px[rows], pairs.in_field)
+        best, proposals = _best_proposal(v_cam[chosen.detected], direction[chosen.catalogue], chosen, tolerance_rad)
+        association, solution = _refined(pixel, v_cam, direction, best, model, tolerance_px, band)
+        probability = false_match_probability(
+            len(association),
+            usable,
+            cells * proposals,
+            stars=association.in_field,
+            radius_px=tolerance_px,
+            area_px2=model.geometry.width_px * model.geometry.height_px,
+        )
+        if solution is not None and solution.status != "degenerate" and probability <= LARGEST_FALSE_MATCH_PROBABILITY:
+            break
+    else:
         return _unmatched(
             "no_match",
-            f"no attitude near the given one explains the {usable} detections: {len(association)} match, which chance "
-            f"gives with probability {probability:.2g}; a wider radius_px, a better camera model or attitude is needed",
+            f"no attitude within {radius_px:g} px of the given one explains the {usable} detections: "
+            f"{len(association)} match, which chance gives with probability {probability:.2g}",
             probability,
         )
     return StarMatch(
@@ -371,6 +384,34 @@ def _best_proposal(
     starts = np.flatnonzero(np.diff(pairs.detected, prepend=-1))
     total = np.maximum.reduceat(score, starts, axis=1).sum(axis=1)
     return Rotation.from_matrix(matrix[int(np.argmax(total))]), len(chosen)
+
+
+def _voted(v_cam: FloatArray, v_rough: FloatArray, radius_rad: float, cell_rad: float) -> tuple[IntArray, int]:
+    """Candidates (c, 3) that agree on one correction of the attitude, and the number of cells that were compared.
+
+    For every roll the tilt is computed that turns a catalogue direction u in the rough camera into the measured v: with
+    the axis w across the boresight, v - u = w x (u + v) / 2, exactly, of length 2 tan(angle / 2).
+    """
+    sine = float(np.max(np.hypot(v_cam[:, 0], v_cam[:, 1]), initial=cell_rad))
+    steps = int(np.ceil(min(2.0 * radius_rad / cell_rad, np.pi * sine / cell_rad)))
+    rolls = np.arange(-steps, steps + 1) * cell_rad / sine  # one cell at the edge of the field
+    side = 2 * int(np.ceil(2.0 * radius_rad / cell_rad)) + 2
+    most, agreeing = 0, np.empty(0, np.int64)
+    for roll in rolls:
+        x = np.cos(roll) * v_rough[:, 0] - np.sin(roll) * v_rough[:, 1]
+        y = np.sin(roll) * v_rough[:, 0] + np.cos(roll) * v_rough[:, 1]
+        depth = np.maximum(0.5 * (v_rough[:, 2] + v_cam[:, 2]), cell_rad)
+        column = np.floor((v_cam[:, 0] - x) / (depth * cell_rad)).astype(np.int64) + side // 2
+        row = np.floor((v_cam[:, 1] - y) / (depth * cell_rad)).astype(np.int64) + side // 2
+        inside = np.flatnonzero((column >= 0) & (column < side) & (row >= 0) & (row < side))
+        column, row = column[inside], row[inside]
+        votes = np.bincount(row * side + column, minlength=side * side).reshape(side, side)
+        blocks = votes[1:, 1:] + votes[1:, :-1] + votes[:-1, 1:] + votes[:-1, :-1]  # a peak may lie on a border
+        top, first = np.unravel_index(int(np.argmax(blocks)), blocks.shape)
+        if blocks[top, first] > most:
+            most = int(blocks[top, first])
+            agreeing = inside[(row - top >= 0) & (row - top < 2) & (column - first >= 0) & (column - first < 2)]
+    return agreeing, len(rolls) * side * side
 
 
 def _evenly(count: int, limit: int) -> IntArray:

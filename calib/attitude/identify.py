@@ -36,6 +36,7 @@ from optics.frames import pixel_to_tetra3rs
 from optics.records import freeze, freeze_all
 from optics.units import DEG_RAD, RAD_ARCSEC
 
+WIDEST_DEG = 120.0  # of the fields that patterns are made for
 TRIM_SIGMA = 5.0  # matches further off are taken for wrong
 TRIM_ROUNDS = 10
 MEDIAN_RAYLEIGH = 1.1774  # median length of a residual of two axes over its standard deviation per axis
@@ -141,9 +142,10 @@ def build_database(
     DomainError
         On a range of fields that is none.
     """
-    if not 0 < min_fov_deg <= max_fov_deg <= 120:
+    if not 0 < min_fov_deg <= max_fov_deg <= WIDEST_DEG:
         raise DomainError(
-            f"fields of view from {min_fov_deg} to {max_fov_deg} deg; positive, increasing, at most 120 deg is needed"
+            f"fields of view from {min_fov_deg} to {max_fov_deg} deg; positive, increasing, at most {WIDEST_DEG:g} deg "
+            "is needed"
         )
     try:
         return _tetra3rs().SolverDatabase.generate_from_gaia(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from calib.attitude.identify import Identification, failed, identify
-from calib.attitude.pattern_cache import kept_database
+from calib.attitude.pattern_cache import SMALLEST_PATTERN, kept_database
 from calib.cameras import BrownConrady, SensorGeometry
 from optics.arrays import FloatArray
 
@@ -80,6 +80,6 @@ class BlindIdentifier:
     def _database(self, field_deg: float) -> Any:
         """Patterns for fields around one, kept on disk."""
         if field_deg not in self._databases:
-            low, high = field_deg * (1.0 - self._reach), field_deg * (1.0 + self._reach)
+            low, high = field_deg * SMALLEST_PATTERN, field_deg * (1.0 + self._reach)
             self._databases[field_deg] = kept_database(min_fov_deg=round(low, 2), max_fov_deg=round(high, 2))
         return self._databases[field_deg]

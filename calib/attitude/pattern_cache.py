@@ -16,12 +16,18 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from calib.attitude.identify import build_database, load_database
+from calib.attitude.identify import WIDEST_DEG, build_database, load_database
 from optics.errors import ConfigError
 
 MOST_KEPT = 8
 """Files; the one that was not used for longest goes."""
 LOOK_S = 0.05
+SMALLEST_PATTERN, WIDEST_PATTERN = 0.5, 1.06
+"""Fields that patterns are made for, over the longer side of a camera's. Of patterns as large as the field itself many
+reach beyond its shorter side, and few consist of stars that all are detected: of 60 random frames 50 to 56 of 16:9 and
+56 to 60 of 4:3 are identified with patterns from 0.94 on, 59 to 60 with those from 0.7, 60 with those from 0.5."""
+SHORT_SIDE = 0.94
+"""Smallest pattern at most, over the shorter side."""
 
 
 def cache_folder() -> Path:
@@ -34,6 +40,13 @@ def cache_folder() -> Path:
     if os.name == "nt":
         return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local") / "starbench"
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "starbench"
+
+
+def camera_database(width_deg: float, height_deg: float) -> Any:
+    """Pattern database for a camera's horizontal and vertical field, from disk if possible."""
+    short, long = sorted((width_deg, height_deg))
+    smallest, widest = min(SMALLEST_PATTERN * long, SHORT_SIDE * short), min(WIDEST_PATTERN * long, WIDEST_DEG)
+    return kept_database(min_fov_deg=round(smallest, 2), max_fov_deg=round(widest, 2))
 
 
 def kept_database(*, min_fov_deg: float, max_fov_deg: float) -> Any:

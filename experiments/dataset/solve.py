@@ -22,8 +22,8 @@ from scipy.spatial.transform import Rotation
 
 from calib.attitude.association import associate
 from calib.attitude.identify import Identification, identify
-from calib.attitude.pattern_cache import kept_database
-from calib.attitude.star_attitude import FEWEST, MATCH_PX, balanced_attitude, identify_stars
+from calib.attitude.pattern_cache import camera_database
+from calib.attitude.star_attitude import FEWEST, MATCH_PX, NARROWEST_BLIND_DEG, balanced_attitude, identify_stars
 from calib.cameras.base import CameraModel
 from calib.measure.reduced_frame import MeasuredFrame
 from calib.measure.statistics.robust import rms_pull, robust_median
@@ -42,13 +42,8 @@ if TYPE_CHECKING:
     from experiments.dataset.truth import FrameRecord
 
 
-NARROWEST_BLIND_DEG = 2.0
-"""Of 40 random attitudes with stars to 9.5 mag, 40 were solved blind at 2 deg and 36 at 1.5 deg."""
 PRIOR_OFF_PX = 20.0
 GOLDEN_RAD = np.pi * (3.0 - np.sqrt(5.0))
-
-FIELD_MARGIN = 0.06
-"""Relative range of the fields of the pattern database about that of the camera."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -163,19 +158,20 @@ def _weighted(
     return solution, int(used.sum()), common_px
 
 
-def _field_deg(scene: DatasetScene) -> float:
-    """Full width of the field of view."""
+def _field_deg(scene: DatasetScene) -> tuple[float, float]:
+    """Full width and height of the field of view."""
     camera = scene.instrument.camera
-    half = camera.width_px * camera.pixel_pitch_mm / 2 / scene.instrument.focal_length_mm
-    return 2.0 * float(np.degrees(np.arctan(half)))
+    half = camera.pixel_pitch_mm / 2 / scene.instrument.focal_length_mm * np.array([camera.width_px, camera.height_px])
+    width, height = 2.0 * np.degrees(np.arctan(half))
+    return float(width), float(height)
 
 
 def star_patterns(scene: DatasetScene) -> Any:
     """Patterns of tetra3rs for the camera of a dataset; None without tetra3rs, or in a field too narrow for them."""
     field = _field_deg(scene)
-    if importlib.util.find_spec("tetra3rs") is None or field < NARROWEST_BLIND_DEG:
+    if importlib.util.find_spec("tetra3rs") is None or field[0] < NARROWEST_BLIND_DEG:
         return None
-    return kept_database(min_fov_deg=field * (1.0 - FIELD_MARGIN), max_fov_deg=field * (1.0 + FIELD_MARGIN))
+    return camera_database(*field)
 
 
 class BlindSolver:
@@ -183,7 +179,7 @@ class BlindSolver:
 
     def __init__(self, scene: DatasetScene, calibration: MapFit, patterns: Any) -> None:
         self.scene, self.calibration, self.database = scene, calibration, patterns
-        self.blind = _field_deg(scene) >= NARROWEST_BLIND_DEG
+        self.blind = _field_deg(scene)[0] >= NARROWEST_BLIND_DEG
         # Reason for no solution; "" for none
         self.missing = "" if patterns or not self.blind else "tetra3rs is not installed: pip install '.[solve]'"
         catalogue, direction = scene.catalogue, scene.sky.direction

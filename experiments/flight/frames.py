@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.pattern_cache import kept_database
 from calib.attitude.tracker import StarTracker, TrackedAttitude
 from experiments.flight.prediction import Budget
 from experiments.laboratory.bench.centroid_methods import needs_epsf
@@ -44,8 +43,6 @@ PSF_REFINEMENT = 4
 """Interpolated steps between rendered PSFs of the tracker."""
 HANDED_OVER_PX = 3.0
 """Standard deviation per axis of an attitude that another sensor head hands over."""
-OBLONG_RATIO = 1.5
-"""Aspect ratio of the field from which star patterns are built down to its shorter side."""
 STILL_PX = 0.02
 """Smaller rotations within an exposure are rendered at rest."""
 
@@ -178,17 +175,6 @@ def build_tracker(camera: FlightCamera) -> StarTracker:
         gate_px=config.tracker.gate_px,
         star_error_px=budget.star_error_px,
         scale_error=budget.scale_error,
-        database=_patterns(budget),
-    )
-
-
-def _patterns(budget: Budget) -> Any:
-    """Star patterns for an oblong field; None where patterns of a square field serve (`identify_stars`)."""
-    width_deg, height_deg = (budget.nominal.value(f"field_{side}_deg") for side in ("width", "height"))
-    if max(width_deg, height_deg) < OBLONG_RATIO * min(width_deg, height_deg):
-        return None
-    return kept_database(
-        min_fov_deg=round(0.94 * min(width_deg, height_deg), 1), max_fov_deg=round(1.06 * max(width_deg, height_deg), 1)
     )
 
 

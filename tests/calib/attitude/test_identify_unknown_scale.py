@@ -38,7 +38,7 @@ def test_the_scale_of_the_first_frame_narrows_the_next(calls):
     identifier.identify(PIXEL, FLUX)
     nominal = 256.0 / np.tan(np.radians(5.5))
     expected = [(nominal, 0.3), (3000.0, 0.02), (3000.0, 0.01)]
-    np.testing.assert_allclose(calls, [(7.7, 14.3, 80, *search) for search in expected])
+    np.testing.assert_allclose(calls, [(5.5, 14.3, 80, *search) for search in expected])
 
 
 def test_fields_are_tried_until_one_holds(calls):
