@@ -36,6 +36,7 @@ from optics.frames import pixel_to_tetra3rs
 from optics.records import freeze, freeze_all
 from optics.units import DEG_RAD, RAD_ARCSEC
 
+PATTERN_STARS = 24  # brightest detections that form patterns, tetra3rs's own number: a search in vain takes 0.01 s
 WIDEST_DEG = 120.0  # of the fields that patterns are made for
 TRIM_SIGMA = 5.0  # matches further off are taken for wrong
 TRIM_ROUNDS = 10
@@ -192,10 +193,11 @@ def identify(
     tolerance_px: float = 5.0,
     catalogue: Mapping[int, ArrayLike] | None = None,
     timeout_s: float = 5.0,
+    pattern_stars: int = PATTERN_STARS,
 ) -> Identification:
     """Identify the stars of one frame.
 
-    Shapes: ``pixel_px`` (n, 2), ``flux`` (n,), ``sigma_px`` (n,).
+    Shapes: ``pixel_px`` (n, 2), ``flux`` (n,), ``sigma_px`` (n,). The ``pattern_stars`` brightest form patterns.
     """
     tetra = _tetra3rs()
     pixel, brightness = _checked(pixel_px, flux)
@@ -219,6 +221,7 @@ def identify(
         camera_model=camera,
         fov_max_error_deg=float(camera.fov_deg * focal_length_error),
         solve_timeout_ms=max(1, round(1000 * timeout_s)),
+        pattern_checking_stars=pattern_stars,
     )
     if not solved:
         status = solved.status if solved.status in ("timeout", "too_few") else "no_match"

@@ -125,9 +125,12 @@ def test_database_is_kept_with_its_epoch(database, stars, tmp_path):
     assert database.parameters["epoch_proper_motion_year"] == 2016.0
 
 
-@pytest.mark.parametrize(("size", "field_deg"), [((1280, 960), 27.0), ((1920, 1080), 20.2)])
-def test_frames_longer_than_high_are_identified_by_the_patterns_of_the_camera(size, field_deg):
-    """30 random frames with 15 false stars as bright as the real ones. Patterns as large as the long side reach beyond
+@pytest.mark.parametrize(
+    ("size", "field_deg", "false", "pattern_stars"),
+    [((1280, 960), 27.0, 15, 24), ((1920, 1080), 20.2, 15, 24), ((1920, 1080), 20.2, 40, 60)],
+)
+def test_frames_longer_than_high_are_identified_by_the_patterns_of_the_camera(size, field_deg, false, pattern_stars):
+    """30 random frames with false stars as bright as the real ones. Patterns as large as the long side reach beyond
     the short one: of frames of 16:9 one in seven was not identified with those from 0.94 of the field on."""
     pytest.importorskip("tetra3rs")
     geometry = SensorGeometry(width_px=size[0], height_px=size[1], pixel_pitch_mm=0.01)
@@ -139,9 +142,9 @@ def test_frames_longer_than_high_are_identified_by_the_patterns_of_the_camera(si
         attitude = Rotation.random(rng=rng)
         row = np.flatnonzero(camera.visible(attitude.apply(direction)))
         pixel = camera.project(attitude.apply(direction[row])) + rng.normal(0.0, 0.15, (len(row), 2))
-        magnitude = np.append(sky.magnitude[row] + rng.normal(0.0, 0.2, len(row)), rng.uniform(2.0, 7.0, 15))
-        pixel = np.vstack([pixel, rng.uniform(0.0, np.array(size) - 1.0, (15, 2))])
-        identified = identify(pixel, camera, patterns, flux=10 ** (-0.4 * magnitude))
+        magnitude = np.append(sky.magnitude[row] + rng.normal(0.0, 0.2, len(row)), rng.uniform(2.0, 7.0, false))
+        pixel = np.vstack([pixel, rng.uniform(0.0, np.array(size) - 1.0, (false, 2))])
+        identified = identify(pixel, camera, patterns, flux=10 ** (-0.4 * magnitude), pattern_stars=pattern_stars)
         assert identified.ok, (seed, identified.message)
         error = attitude_error_arcsec(identified.attitude.rotation, attitude)
         assert (np.abs(error) < 5 * identified.attitude.sigma_arcsec).all()
