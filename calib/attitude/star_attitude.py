@@ -291,9 +291,10 @@ def _lost_in_space(
 ) -> Identification:
     """Identification by patterns of the usable rows, then of all: a narrow PSF may look like hot pixels; at last by
     patterns of more stars, among bright false ones."""
+    by_id = _ById(catalogue)
     for rows in (usable, finite) if len(finite) > len(usable) else (usable,):
         # the catalogue may count its stars in another way than the patterns do
-        for directions in (_ById(catalogue), None):
+        for directions in (by_id, None):
             identified = identify(stars.pixel_px[rows], model, patterns, flux=stars.flux_e[rows], catalogue=directions)
             if identified.status != "no_match":
                 return replace(identified, detected=rows[identified.detected])
@@ -302,7 +303,7 @@ def _lost_in_space(
         model,
         patterns,
         flux=stars.flux_e[usable],
-        catalogue=_ById(catalogue),
+        catalogue=by_id,
         pattern_stars=MOST_PATTERN_STARS,
     )
     return replace(identified, detected=usable[identified.detected])
@@ -385,7 +386,7 @@ class _ById(Mapping[int, FloatArray]):
     """Directions of a catalogue by identifier, without a dictionary of the whole sky."""
 
     def __init__(self, catalogue: CatalogueStars) -> None:
-        self._catalogue, self._order = catalogue, np.argsort(catalogue.id, kind="stable")
+        self._catalogue, self._order = catalogue, np.argsort(catalogue.id)
 
     def __getitem__(self, identifier: int) -> FloatArray:
         rank = int(np.searchsorted(self._catalogue.id, identifier, sorter=self._order))
