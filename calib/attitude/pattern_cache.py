@@ -24,9 +24,9 @@ MOST_KEPT = 8
 LOOK_S = 0.05
 SMALLEST_PATTERN, WIDEST_PATTERN = 0.5, 1.06
 """Fields that patterns are made for, over the longer side of a camera's. Of patterns as large as the field itself many
-reach beyond its shorter side, and few consist of stars that all are detected: of 60 random frames of 3 to 27 deg 43 to 58
-of 16:9 and 54 to 60 of 4:3 are identified with patterns from 0.94 on, 59 to 60 with those from 0.7, 60 with those from
-0.5."""
+reach beyond its shorter side, and few consist of stars that all are detected: of 60 random frames of 3 to 27 deg, 43 to
+58 of 16:9 and 54 to 60 of 4:3 are identified with patterns from 0.94 on, 59 to 60 with those from 0.7, 60 with those
+from 0.5."""
 SHORT_SIDE = 0.94
 """Smallest pattern at most, over the shorter side."""
 
