@@ -15,18 +15,18 @@ from scipy.spatial.transform import Rotation
 
 from calib.calibration.linked_design import correlated_covariance
 from calib.cameras.brown_conrady import BrownConrady
-from experiments.acf.gain import GAIN, SWEPT, gains, sweep_points
-from experiments.acf.methods import ERRORS, METHODS, RATIOS, fig5_points, methods
+from experiments.acf.gain import GAIN, SWEPT, gain_by_stars, sweep_points
+from experiments.acf.methods import ERRORS, METHODS, RATIOS, compare_methods, fig5_points
 from experiments.acf.reprojection import (
     REPROJECTION,
-    counts,
     counts_points,
     fig3,
     fig3_points,
     fig4,
+    infer_star_count,
     inferred_point,
-    matching_stars,
-    overall,
+    pool_ratios,
+    sweep_star_counts,
     table2_point,
 )
 from experiments.acf.settings import AcfConfig
@@ -45,11 +45,11 @@ METHOD_NAMES = {
     "iac": "IAC",
     "iac_full": "IAC, full weights",
 }
-LEAST_EIGENVALUE = 1e-12
+MIN_EIGENVALUE_RATIO = 1e-12
 """Smallest over largest eigenvalue of the scaled normal matrix below which an unknown is not determined."""
-MOST_DISTORTION = 0.3
+MAX_DISTORTION = 0.3
 """Displacement at a corner over its distance from the principal point; the adjustments start without distortion."""
-MOST_INSTALLATION_SIGMA_DEG = 1.0
+MAX_INSTALLATION_SIGMA_DEG = 1.0
 """Largest standard deviation of an installation angle at which the adjustment is still linear."""
 
 
@@ -66,6 +66,7 @@ def check_design(config: AcfConfig) -> None:
 
 
 def _check_distortion(config: AcfConfig) -> None:
+    """Refuse a distortion that moves a corner by more than `MAX_DISTORTION` of its radius."""
     camera = build_camera(config)
     pinhole = BrownConrady.create(
         camera.geometry,
@@ -77,15 +78,16 @@ def _check_distortion(config: AcfConfig) -> None:
     displacement_px = np.hypot(*(pinhole.project(camera.unproject(corner)) - corner).T)
     radius_px = np.hypot(*(corner - camera.geometry.centre_px - camera.parameters[:2]).T)
     distortion = float((displacement_px / radius_px).max())
-    if not distortion <= MOST_DISTORTION:
+    if not distortion <= MAX_DISTORTION:
         raise DomainError(
             f"camera: this distortion moves the image by {100 * distortion:.0f} % of its distance from the principal "
-            f"point at a corner of the detector; at most {100 * MOST_DISTORTION:.0f} % is possible: use smaller "
+            f"point at a corner of the detector; at most {100 * MAX_DISTORTION:.0f} % is possible: use smaller "
             "q1_per_mm2 ... p2_per_mm"
         )
 
 
 def _check_point(config: AcfConfig, point: TrialPoint, key: str) -> None:
+    """Refuse stars behind the start camera, a singular normal matrix, and an installation determined too poorly."""
     sky = sky_of(config, point, 0)
     behind = int((sky.stars.direction[sky.used, 2] <= 0.0).sum())
     if behind and not config.start.phi_from_stars:
@@ -94,18 +96,18 @@ def _check_point(config: AcfConfig, point: TrialPoint, key: str) -> None:
             f"{int(sky.used.sum())} stars are behind the camera; set start.phi_from_stars=true"
         )
     design = sky.calibrating
-    if not design.least_information() > LEAST_EIGENVALUE:
+    if not design.least_information() > MIN_EIGENVALUE_RATIO:
         raise DomainError(
             f"{key}: {len(design.frame)} stars in the frames that calibrate do not determine the 14 unknowns; more "
             "stars or frames are needed"
         )
     covariance = correlated_covariance(design, max(config.noise_px))
     sigma_deg = float(np.degrees(np.sqrt(np.diag(covariance)[-3:].max())))
-    if not sigma_deg <= MOST_INSTALLATION_SIGMA_DEG:
+    if not sigma_deg <= MAX_INSTALLATION_SIGMA_DEG:
         rotation_deg = float(np.degrees(Rotation.from_matrix(design.link[:, :, :3]).magnitude().max()))
         raise DomainError(
             f"the installation would be determined to {sigma_deg:.1f} deg only (the body turns by "
-            f"{rotation_deg:.2g} deg, {len(design.frame)} stars calibrate); at most {MOST_INSTALLATION_SIGMA_DEG:g} "
+            f"{rotation_deg:.2g} deg, {len(design.frame)} stars calibrate); at most {MAX_INSTALLATION_SIGMA_DEG:g} "
             "deg can be calibrated: a faster gyro.angular_speed_deg_per_s, more frames or more stars "
             f"({key}) are needed"
         )
@@ -155,7 +157,7 @@ def axes(config: AcfConfig) -> Quantities:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Convergence:
-    """Calibrations of a method that did not converge, of n."""
+    """Number of calibrations of a method that did not converge."""
 
     failed: int = col("Failed")
     n: int = col("Calibrations")
@@ -163,7 +165,7 @@ class Convergence:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AllConvergence:
-    """Judged number of failures, without the sweep: two stars per frame and a gyro of large noise may fail."""
+    """Failures outside the sweep of stars per frame, whose two stars or whose noisy gyro may not converge."""
 
     failed: int = col("Calibrations that did not converge")
 
@@ -186,16 +188,18 @@ def run(config: AcfConfig, *, progress: Progress) -> dict[str, Any]:
     check_design(config)
     with progress.stage("implied pixel"):
         from_table2 = implied()
-    pixel_um, stars = round(from_table2.pixel_um.value, 2), max(round(from_table2.stars_per_frame), 2)
-    first, inferred, sweep = table2_point(config), inferred_point(config, pixel_um, stars), sweep_points(config)
-    figures = [first, inferred, *counts_points(config), *fig3_points(config), *fig5_points(config)]
+    pixel_um = round(from_table2.pixel_um.value, 2)
+    stars = max(round(from_table2.stars_per_frame), 2)
+    inferred = inferred_point(config, pixel_um, stars)
+    sweep = sweep_points(config)
+    figures = [table2_point(config), inferred, *counts_points(config), *fig3_points(config), *fig5_points(config)]
     with progress.stage("Monte Carlo", total=sum(point.runs for point in (*figures, *sweep))) as stage:
         trials = run_trials(config, [*figures, *sweep], advance=stage.advance)
     with progress.stage("predictions"):
         return _sections(config, trials, figures) | {
             "implied": from_table2,
             "fig4": fig4(config, trials, inferred),
-            "matching": [matching_stars(config, um) for um in (config.camera.pixel_pitch_um, pixel_um)],
+            "matching": [infer_star_count(config, um) for um in (config.camera.pixel_pitch_um, pixel_um)],
         }
 
 
@@ -218,12 +222,12 @@ def _sections(config: AcfConfig, trials: Mapping[str, Trials], figures: Sequence
         ),
         "fig3a": by_bias,
         "fig3b": by_walk,
-        "counts": counts(config, trials),
-        "reprojection": overall(config, trials),
+        "counts": sweep_star_counts(config, trials),
+        "reprojection": pool_ratios(config, trials),
         "table2": table2(config, trials, expected),
         "degeneracy": degeneracy(config, trials, expected),
-        **methods(config, trials),
-        "gain": gains(config, trials),
+        **compare_methods(config, trials),
+        "gain": gain_by_stars(config, trials),
         "convergence": by_method,
         "convergence_sweep": [convergence(of_sweep, method) for method in SWEPT],
         "convergence_all": AllConvergence(failed=sum(method.failed for method in by_method)),

@@ -1,4 +1,8 @@
-"""Gain of a gyro over free attitudes against stars per frame, and the loss by a gyro taken as perfect."""
+"""Gain by a gyro against the number of stars per frame, and the loss where ACC takes a noisy gyro as error-free.
+
+Gain: median line-of-sight error of calibrations with an independent attitude in every frame over that of calibrations
+with the gyro (ACC, or "linked": adjustment that weights the gyro by its noise).
+"""
 
 from __future__ import annotations
 
@@ -21,8 +25,9 @@ RESAMPLES = 300
 
 
 def sweep_points(config: AcfConfig) -> list[TrialPoint]:
-    """One point per number of stars; a gyro per factor; every run has a sky of its own."""
-    sweep, (bias, walk) = config.sweep, table1_gyro(config)
+    """One point per number of stars; one gyro per factor of Table 1's noise; another sky in every run."""
+    sweep = config.sweep
+    bias, walk = table1_gyro(config)
     return [
         TrialPoint(
             name=f"sweep {n}",
@@ -40,64 +45,70 @@ def sweep_points(config: AcfConfig) -> list[TrialPoint]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gain:
-    """Median error of free attitudes over that of another method, by size of the gyro's noise."""
+    """Median error of independent attitudes over that of a method with a gyro, by size of the gyro's noise."""
 
     stars_per_frame: int = col("Stars")
     acc: Sequence[Measured] = col("ACC", dims="factor")
-    acc_bound: FloatArray = col("Expected", "", ".2f", "factor")
-    linked: Sequence[Measured] = col("Gyro of stated noise", dims="factor")
-    linked_bound: FloatArray = col("Bound", "", ".2f", "factor")
-    # Of the logarithm of the gain, in standard deviations of gains that are drawn from the design of every sky
-    linked_deviation_sigma: FloatArray = col("Deviation", "sigma", "+.2f", "factor", shown=False)
-    linked_full_deviation_sigma: FloatArray = col(
-        "Deviation for an error of 100 %", "sigma", ".1f", "factor", shown=False
-    )
+    acc_expected: FloatArray = col("Expected", "", ".2f", "factor")
+    linked: Sequence[Measured] = col("Gyro weighted by its noise", dims="factor")
+    linked_expected: FloatArray = col("Expected", "", ".2f", "factor")
+    # z = (ln(measured gain) - mean) / sigma, with mean and sigma of ln(gain) from `sampled_log_gain`
+    linked_log_gain_z: FloatArray = col("Deviation", "sigma", "+.2f", "factor", shown=False)
+    # A unit of ln(gain), an error of 100 % to first order, over its sigma
+    linked_log_gain_unit_z: FloatArray = col("Deviation for an error of 100 %", "sigma", ".1f", "factor", shown=False)
 
 
-def gains(config: AcfConfig, trials: Mapping[str, Trials]) -> list[Gain]:
-    """Ratios of the median line-of-sight errors over the skies, with errors by resampling."""
-    rng, rows = np.random.default_rng(config.seed), []
+def gain_by_stars(config: AcfConfig, trials: Mapping[str, Trials]) -> list[Gain]:
+    """Ratios of the median line-of-sight errors over the skies, with standard errors by the bootstrap."""
+    rng = np.random.default_rng(config.seed)
+    rows = []
     for point in sweep_points(config):
         runs = trials[point.name]
-        free, free_bound = usable_line_of_sight(runs, "free"), np.median(runs.values["bound.free"][:, -1])
+        free = usable_line_of_sight(runs, "free")
         resampled = rng.integers(0, len(free), (RESAMPLES, len(free)))
         gyros = range(len(point.gyro))
         measured, expected = {}, {}
         for method in ("acc", "linked"):
-            measured[method] = [gain(free, usable_line_of_sight(runs, method, k), resampled) for k in gyros]
-            expected[method] = np.array(
-                [free_bound / np.median(runs.values[f"bound@{k}.{method}"][:, -1]) for k in gyros]
-            )
-        mean, sigma = np.transpose([drawn_logarithm(runs, k) for k in gyros])
+            measured[method] = [median_ratio(free, usable_line_of_sight(runs, method, k), resampled) for k in gyros]
+            expected[method] = np.array([predicted_gain(runs, method, k) for k in gyros])
+        mean, sigma = np.transpose([sampled_log_gain(runs, k) for k in gyros])
         rows.append(
             Gain(
                 stars_per_frame=point.stars or 0,
                 acc=measured["acc"],
-                acc_bound=expected["acc"],
+                acc_expected=expected["acc"],
                 linked=measured["linked"],
-                linked_bound=expected["linked"],
-                linked_deviation_sigma=(np.log([ratio.value for ratio in measured["linked"]]) - mean) / sigma,
-                linked_full_deviation_sigma=1.0 / sigma,
+                linked_expected=expected["linked"],
+                linked_log_gain_z=(np.log([ratio.value for ratio in measured["linked"]]) - mean) / sigma,
+                linked_log_gain_unit_z=1.0 / sigma,
             )
         )
     return rows
 
 
-def gain(free: FloatArray, other: FloatArray, resampled: IntArray) -> Measured:
-    """Ratio of two medians, and its standard error by the bootstrap: rows of ``resampled`` number the skies."""
+def predicted_gain(trials: Trials, method: str, gyro: int) -> float:
+    """Ratio of the medians over the skies of the line-of-sight errors predicted by covariances."""
+    free, other = (np.median(trials.of(name, "predicted_arcsec", gyro)) for name in ("free", method))
+    return float(free / other)
+
+
+def median_ratio(free: FloatArray, other: FloatArray, resampled: IntArray) -> Measured:
+    """Ratio of two medians, and its standard error by the bootstrap: rows of ``resampled`` are indices of skies."""
     ratios = np.median(free[resampled], axis=1) / np.median(other[resampled], axis=1)
     return Measured(value=float(np.median(free) / np.median(other)), uncertainty=float(ratios.std(ddof=1)))
 
 
-def drawn_logarithm(trials: Trials, gyro: int) -> tuple[float, float]:
-    """Mean and standard deviation of the logarithm of the gain of a gyro of stated noise, by drawn errors.
+def sampled_log_gain(trials: Trials, gyro: int) -> tuple[float, float]:
+    """Mean and sigma of ln(gain) with a gyro weighted by its noise, from errors sampled from the covariances.
 
-    The bootstrap would give the scatter of a few skies' medians to no better than a third, and that of the ratio is
-    skewed: 1 to 5 % of the quick runs would fail.
+    A bootstrap of the few skies would give sigma to no better than a third, and the ratio of medians is skewed: 1 to
+    5 % of the quick runs would fail.
     """
-    free, linked = (np.median(trials.values[f"drawn@{gyro}.{name}"], axis=0) for name in ("free", "linked"))
-    logarithm = np.log(free / linked)
-    return float(logarithm.mean()), float(logarithm.std(ddof=1))
+    free, linked = (
+        np.median(trials.of("linked", quantity, gyro), axis=0) for quantity in ("sampled_free_arcsec", "sampled_arcsec")
+    )
+    log_gain = np.log(free / linked)
+    return float(log_gain.mean()), float(log_gain.std(ddof=1))
 
 
 def usable_line_of_sight(trials: Trials, method: str, gyro: int | None = 0) -> FloatArray:
@@ -112,27 +123,27 @@ GAIN = {
         record=Gain,
         dim="stars",
         along="stars_per_frame",
-        caption="Gain over free attitudes: ratio of the median line-of-sight errors of all skies.",
-        note="Expected and bound: from the design of every sky. Standard errors from resampled skies.",
+        caption="Gain over independent attitudes: ratio of the median line-of-sight errors of all skies.",
+        note="Expected: from the covariances of every sky. Standard errors by the bootstrap over the skies.",
         figures={
             "gain_acc": curves(
                 "stars",
                 points="acc",
-                lines="acc_bound",
+                lines="acc_expected",
                 by="factor",
                 level=1.0,
                 log="xy",
-                y="Gain of ACC (gyro taken as perfect)",
+                y="Gain of ACC (gyro taken as error-free)",
                 aspect_ratio=0.5,
             )
         },
         verdicts=[
             agree(
-                "linked_deviation_sigma",
+                "linked_log_gain_z",
                 0.0,
                 error=1.0,
-                of="linked_full_deviation_sigma",
-                title="gain of a gyro of stated noise against its bound",
+                of="linked_log_gain_unit_z",
+                title="gain with a gyro weighted by its noise, against its expectation",
             )
         ],
     )

@@ -1,7 +1,8 @@
-"""Fig. 5 of ACF17: attitudes linked by a gyro (ACC) against interstar angles (IAC), and against the bound.
+"""Fig. 5 of ACF17: calibration with a gyro (ACC) against interstar angles (IAC), and against the Cramer-Rao bound.
 
-Further methods: a gyro of stated noise, free attitudes in every frame, and interstar angles with their full covariance,
-which keep 2n - 3 measurements of a frame and are as accurate as free attitudes.
+ACC takes the gyro as error-free. Further methods: a gyro weighted by its noise ("linked"), an independent attitude in
+every frame ("free"), and interstar angles with their full covariance, which keep 2n - 3 measurements of a frame and are
+as accurate as independent attitudes.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from calib.fitting.normal_errors import correlated_errors, normalised_squares
 from experiments.acf.reprojection import root_mean_square
 from experiments.acf.settings import AcfConfig
 from experiments.acf.simulate import build_scene
-from experiments.acf.table2 import Covariances, covariances
+from experiments.acf.table2 import CAMERA, DISTORTION, PINHOLE, Covariances, covariances
 from experiments.acf.trials import COMPARED, Method, TrialPoint, Trials, map_grid, table1_gyro
 from experiments.harness.drawings import Drawing, curves
 from experiments.harness.sections import Section, col, ratio_near
@@ -25,7 +26,7 @@ from optics.arrays import FloatArray
 from render.engine.random import Streams
 
 ERRORS = ("x0", "y0", "f", "distortion", "line_of_sight")
-"""By which Fig. 5 judges a method: three parameters, the largest residual distortion; and the line of sight."""
+"""Errors that Fig. 5 compares, three parameters and the largest residual distortion, and the line-of-sight error."""
 RATIOS: dict[str, tuple[Method, Method]] = {
     "iac_over_acc": ("iac", "acc"),
     "iac_full_over_free": ("iac_full", "free"),
@@ -36,7 +37,8 @@ BOUNDS = {"acc": "acc", "linked": "linked", "free": "free", "iac_full": "free"}
 DRAWS = 400
 """Errors drawn from a predicted covariance, for the expected largest residual distortion."""
 MAP_DEGREES_OF_FREEDOM = 4.0
-"""Effective degrees of freedom of the mean-square map error: some five independent modes of unequal size."""
+"""Effective degrees of freedom of the mean-square line-of-sight error e^T M e with e of covariance C, by Satterthwaite:
+tr(MC)^2 / tr((MC)^2), 3.8 to 4.0 for the published camera."""
 
 
 def fig5_points(config: AcfConfig) -> list[TrialPoint]:
@@ -72,8 +74,8 @@ class MethodErrors:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Pooled:
-    """Errors of a method per pixel of star noise, all noises together."""
+class NormalisedErrors:
+    """Errors of a method divided by the star noise, mean over all noises of Fig. 5."""
 
     x0_px: float = col("x0", "px", ".2f")
     y0_px: float = col("y0", "px", ".2f")
@@ -96,21 +98,22 @@ class Ratio:
 class RmsPull:
     """RMS error of an unknown over a predicted standard deviation, all noises of Fig. 5 together."""
 
-    acc: float = col("ACC, own covariance", "", ".3f")
+    # The covariance of the ACC fit, eq. 11, lacks the gyro's error; the second column includes it
+    acc: float = col("ACC, covariance of the fit", "", ".3f")
     acc_with_gyro_error: float = col("ACC, gyro's error included", "", ".3f")
-    linked: Measured = col("Gyro of stated noise, own covariance")
+    linked: Measured = col("Gyro weighted by its noise, covariance of the fit")
     n: int = col("Runs", shown=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Nees:
-    """Consistency of all 14 unknowns together."""
+    """Consistency of the estimates of all 14 unknowns with their covariance."""
 
-    nees_ratio: Measured = col("Errors of the 14 unknowns over their covariance, gyro of stated noise")
+    root_mean_nees: Measured = col("Root of mean NEES over 14 degrees of freedom, gyro weighted by its noise")
 
 
-def methods(config: AcfConfig, trials: Mapping[str, Trials]) -> dict[str, object]:
-    """Sections of Fig. 5: errors by noise, pooled, their ratios, and pulls."""
+def compare_methods(config: AcfConfig, trials: Mapping[str, Trials]) -> dict[str, object]:
+    """Sections of Fig. 5: errors by noise, errors per pixel of noise, ratios of methods, pulls, and NEES."""
     points = fig5_points(config)
     runs = [trials[point.name] for point in points]
     predicted = [covariances(config, point) for point in points]
@@ -121,26 +124,27 @@ def methods(config: AcfConfig, trials: Mapping[str, Trials]) -> dict[str, object
     return {
         "fig5": list(by_noise.values()),
         "methods": [
-            pooled(errors, by_noise["acc"], per_px[method], noise_px, n) for method, errors in by_noise.items()
+            normalise_errors(errors, by_noise["acc"], per_px[method], noise_px, n)
+            for method, errors in by_noise.items()
         ],
         "ratios": [
             Ratio(error_ratio=error_ratios(by_noise[method], by_noise[reference], per_px[method], per_px[reference]))
             for method, reference in RATIOS.values()
         ],
         "pulls": rms_pulls(runs, predicted),
-        "nees": Nees(nees_ratio=nees_ratio(runs, predicted)),
+        "nees": Nees(root_mean_nees=root_mean_nees(runs, predicted)),
     }
 
 
 def method_errors(
     config: AcfConfig, method: str, runs: Sequence[Trials], predicted: Sequence[Covariances]
 ) -> MethodErrors:
-    """Errors of a method by noise."""
+    """RMS errors of a method and their expectation, for every noise."""
     parameter_errors, distortion, line_of_sight = (
         np.stack([trials.of(method, quantity) for trials in runs])
         for quantity in ("error", "residual_distortion_px", "line_of_sight_arcsec")
     )
-    x0_px, y0_px, focal_length_mm = np.sqrt((parameter_errors[:, :, :3] ** 2).mean(1)).T
+    x0_px, y0_px, focal_length_mm = np.sqrt((parameter_errors[:, :, PINHOLE] ** 2).mean(1)).T
     expected = expected_errors(config, method, runs, predicted)
     return MethodErrors(
         x0_px=x0_px,
@@ -162,16 +166,17 @@ def expected_errors(
 ) -> FloatArray:
     """Expected `ERRORS` of a method (5, s) at s noises, from the design.
 
-    For unweighted angles: the mean of the parameters' variances that the fits state, and NaN for the maps.
+    IAC as published (unweighted angles): root of the mean variance that the fits state for x0, y0 and f; NaN for the
+    largest residual distortion and the line of sight.
     """
     if method not in BOUNDS:
-        sigma = np.sqrt(np.stack([(trials.of(method, "sigma")[:, :3] ** 2).mean(0) for trials in runs]))
+        sigma = np.sqrt(np.stack([(trials.of(method, "sigma")[:, PINHOLE] ** 2).mean(0) for trials in runs]))
         return np.concatenate([sigma.T, np.full((2, len(sigma)), np.nan)])
-    camera = [getattr(covariance, BOUNDS[method])[:8, :8] for covariance in predicted]
+    camera = [getattr(covariance, BOUNDS[method])[CAMERA, CAMERA] for covariance in predicted]
     mean_square = map_grid(config, None).mean_square
     return np.stack(
         [
-            *np.stack([np.sqrt(np.diag(covariance)[:3]) for covariance in camera]).T,
+            *np.stack([np.sqrt(np.diag(covariance)[PINHOLE]) for covariance in camera]).T,
             largest_distortion(config, camera),
             np.array([expected_rms(mean_square, covariance) for covariance in camera]),
         ]
@@ -180,12 +185,14 @@ def expected_errors(
 
 def largest_distortion(config: AcfConfig, camera_covariances: Sequence[FloatArray]) -> FloatArray:
     """Expected largest residual distortion [px]: the mean over draws of the coefficients' errors."""
-    true, grid = build_scene(config).camera, map_grid(config, None)
-    jacobian = true.project_jacobian(grid.direction).by_parameter[:, :, 3:]
-    deviates = Streams(config.seed).child("acf").generator("expected distortion").standard_normal((DRAWS, 5))
+    true_camera = build_scene(config).camera
+    jacobian = true_camera.project_jacobian(map_grid(config, None).direction).by_parameter[:, :, DISTORTION]
+    deviates = (
+        Streams(config.seed).child("acf").generator("expected distortion").standard_normal((DRAWS, jacobian.shape[2]))
+    )
     largest = []
     for covariance in camera_covariances:
-        errors = correlated_errors(covariance[3:, 3:], deviates)
+        errors = correlated_errors(covariance[DISTORTION, DISTORTION], deviates)
         displacement_px = np.moveaxis(jacobian @ errors.T, 1, 0)  # (2, points, draws)
         largest.append(float(np.hypot(*displacement_px).max(axis=0).mean()))
     return np.array(largest)
@@ -193,14 +200,17 @@ def largest_distortion(config: AcfConfig, camera_covariances: Sequence[FloatArra
 
 def errors_per_px(method: str, runs: Sequence[Trials], noise_px: FloatArray) -> FloatArray:
     """RMS errors (3,) of x0, y0 and f per pixel of noise."""
-    error = np.stack([trials.of(method, "error")[:, :3] for trials in runs])
+    error = np.stack([trials.of(method, "error")[:, PINHOLE] for trials in runs])
     return np.asarray(np.sqrt(((error / noise_px[:, None, None]) ** 2).mean((0, 1))))
 
 
-def pooled(errors: MethodErrors, acc: MethodErrors, per_px: FloatArray, noise_px: FloatArray, n: int) -> Pooled:
-    """Errors of a method per pixel of noise."""
-    line_of_sight, expected = _values(errors.line_of_sight_arcsec), errors.expected_line_of_sight_arcsec
-    return Pooled(
+def normalise_errors(
+    errors: MethodErrors, acc: MethodErrors, per_px: FloatArray, noise_px: FloatArray, n: int
+) -> NormalisedErrors:
+    """Errors of a method divided by the star noise; uncertainty by `MAP_DEGREES_OF_FREEDOM` per run."""
+    line_of_sight = _values(errors.line_of_sight_arcsec)
+    expected = errors.expected_line_of_sight_arcsec
+    return NormalisedErrors(
         x0_px=float(per_px[0]),
         y0_px=float(per_px[1]),
         f_um=1e3 * float(per_px[2]),
@@ -220,11 +230,11 @@ def error_ratios(
     errors: MethodErrors, reference: MethodErrors, per_px: FloatArray, reference_per_px: FloatArray
 ) -> list[float]:
     """Ratios of the `ERRORS` of two methods."""
-    maps = [
+    map_ratios = [
         float(np.mean(_values(getattr(errors, name)) / _values(getattr(reference, name))))
         for name in ("residual_distortion_px", "line_of_sight_arcsec")
     ]
-    return [*(per_px / reference_per_px).tolist(), *maps]
+    return [*(per_px / reference_per_px).tolist(), *map_ratios]
 
 
 def _values(row: Sequence[Measured]) -> FloatArray:
@@ -232,7 +242,7 @@ def _values(row: Sequence[Measured]) -> FloatArray:
 
 
 def rms_pulls(runs: Sequence[Trials], predicted: Sequence[Covariances]) -> list[RmsPull]:
-    """RMS pulls of the 14 unknowns. ACC's own covariance takes the gyro as perfect."""
+    """RMS pulls of the 14 unknowns: ACC with both covariances, and the gyro weighted by its noise."""
     acc = [trials.of("acc", "error") / trials.of("acc", "sigma") for trials in runs]
     linked = [trials.of("linked", "error") / trials.of("linked", "sigma") for trials in runs]
     with_gyro_error = [
@@ -248,8 +258,8 @@ def rms_pulls(runs: Sequence[Trials], predicted: Sequence[Covariances]) -> list[
     ]
 
 
-def nees_ratio(runs: Sequence[Trials], predicted: Sequence[Covariances]) -> Measured:
-    """Root of the normalised estimation error squared over its 14 degrees of freedom, all noises of Fig. 5 together."""
+def root_mean_nees(runs: Sequence[Trials], predicted: Sequence[Covariances]) -> Measured:
+    """Root of the mean normalised estimation error squared over its 14 degrees of freedom, all noises of Fig. 5."""
     pairs = zip(runs, predicted, strict=True)
     square = np.concatenate(
         [normalised_squares(trials.of("linked", "error"), covariance.linked) for trials, covariance in pairs]
@@ -275,7 +285,7 @@ METHODS = {
         },
     ),
     "methods": Section(
-        record=Pooled,
+        record=NormalisedErrors,
         dim="method",
         caption="Errors of the methods of Fig. 5 per pixel of star noise, for all noise values together.",
         note="Line of sight: RMS over the detector after the best rotation.",
@@ -300,9 +310,9 @@ METHODS = {
         record=Nees,
         verdicts=[
             ratio_near(
-                "nees_ratio",
+                "root_mean_nees",
                 within=0.03,
-                title="errors of the 14 unknowns over their covariance (NEES), gyro of stated noise",
+                title="errors of the 14 unknowns over their covariance (NEES), gyro weighted by its noise",
                 advice="a bias or a wrong covariance: check that the calibrations converged",
             )
         ],

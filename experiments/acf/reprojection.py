@@ -1,8 +1,8 @@
 """Fig. 3 and 4 of ACF17: stars of the even frames, free of noise, reprojected with a calibration from the odd ones.
 
-The expectation comes from the design alone: star noise and gyro error carried through eq. 11 to the even frames, where
-the gyro's error enters a second time. For a perfect gyro and even frames like the odd ones it is sigma sqrt(14 / n)
-with n stars that calibrate, for any camera; the published RMS therefore implies the number of stars.
+The expectation propagates star noise and gyro error through eq. 11 to the even frames, where the gyro's error enters a
+second time. For an error-free gyro and even frames like the odd ones it is sigma sqrt(14 / n) with 14
+unknowns and n stars that calibrate, for any camera; the published RMS therefore implies the number of stars.
 """
 
 from __future__ import annotations
@@ -23,6 +23,8 @@ from optics.arrays import FloatArray
 
 FIG4_RMS_PX = np.array([0.0132, 0.0123])
 """ACF17 Fig. 4: RMS reprojection error, x and y, for 0.1 px of star noise and the gyro of Table 1."""
+N_UNKNOWNS = 14
+"""Eight parameters of the camera, three angles of the first attitude, three of the installation."""
 FIG4_LARGEST_PX = 0.04
 """ACF17 Fig. 4: all reprojection errors are below."""
 
@@ -51,7 +53,7 @@ def table2_point(config: AcfConfig) -> TrialPoint:
 
 
 def inferred_point(config: AcfConfig, pixel_um: float, stars: int) -> TrialPoint:
-    """Fig. 4 with another pixel and number of stars."""
+    """Fig. 4 with the pixel and the number of stars inferred from ACF17's Table 2."""
     gyro = (table1_gyro(config),)
     return replace(table2_point(config), name="inferred", gyro=gyro, stars=stars, pixel_um=pixel_um)
 
@@ -72,14 +74,15 @@ def counts_points(config: AcfConfig) -> list[TrialPoint]:
 
 
 def root_mean_square(square: FloatArray, axis: int) -> tuple[FloatArray, FloatArray]:
-    """Root of a mean of squares, and its standard error."""
+    """Root of the mean of squares m along an axis, and its standard error sigma(m) / (2 sqrt(m))."""
     rms = np.sqrt(square.mean(axis))
     return rms, square.std(axis, ddof=1) / np.sqrt(square.shape[axis]) / (2.0 * rms)
 
 
 def expected_at(config: AcfConfig, point: TrialPoint, gyro: int, noises_px: Sequence[float] = ()) -> list[Reprojection]:
-    """Expectation for the stars of a point, at its noise or at several."""
-    sky, noise = sky_of(config, point, 0), point.gyro[gyro]
+    """Expected reprojection error for the stars of a point, at its star noise or at each of several."""
+    sky = sky_of(config, point, 0)
+    noise = point.gyro[gyro]
     drift = gyro_drift(sky.scene, noise) if any(noise) else None
     return reprojections(sky.calibrating, sky.reprojected, noises_px or [point.noise_px], drift)
 
@@ -115,7 +118,7 @@ class ByWalk:
 
 
 def fig3(config: AcfConfig, trials: Mapping[str, Trials]) -> tuple[ByBias, ByWalk]:
-    """Mean RMS reprojection error by noise and gyro; all noises see the same stars."""
+    """Mean RMS reprojection error by noise and gyro, of the same stars at every noise."""
     points = fig3_points(config)
     by_gyro = [expected_at(config, points[0], k, config.noise_px) for k in range(len(points[0].gyro))]
 
@@ -151,7 +154,8 @@ def fig4(config: AcfConfig, trials: Mapping[str, Trials], inferred: TrialPoint) 
     """Fig. 4 with assumed and with inferred pixel and stars; published numbers for the camera of ACF17 only."""
     cases = []
     for point in (table2_point(config), inferred):
-        (expected,), runs = expected_at(config, point, 0), trials[point.name]
+        (expected,) = expected_at(config, point, 0)
+        runs = trials[point.name]
         error_px = np.hypot(*np.moveaxis(runs.of("acc", "reprojection_error_px"), 2, 0))
         published_px = float(np.hypot(*FIG4_RMS_PX))
         published: dict[str, Any] = {
@@ -177,7 +181,7 @@ def fig4(config: AcfConfig, trials: Mapping[str, Trials], inferred: TrialPoint) 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Count:
+class StarCountRow:
     """Mean RMS length for a number of stars in every frame."""
 
     stars_per_frame: int = col("Stars per frame")
@@ -185,10 +189,10 @@ class Count:
     expected_px: FloatArray = col("Expected", "px", ".4f", "count_gyro")
 
 
-def counts(config: AcfConfig, trials: Mapping[str, Trials]) -> list[Count]:
+def sweep_star_counts(config: AcfConfig, trials: Mapping[str, Trials]) -> list[StarCountRow]:
     """Reprojection error by stars per frame, for the gyros of `counts_points`."""
     return [
-        Count(
+        StarCountRow(
             stars_per_frame=point.stars or 0,
             rms_px=[mean_rms_length(trials[point.name], k) for k in range(len(point.gyro))],
             expected_px=np.array([expected_at(config, point, k)[0].mean_px for k in range(len(point.gyro))]),
@@ -198,14 +202,18 @@ def counts(config: AcfConfig, trials: Mapping[str, Trials]) -> list[Count]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Overall:
-    """All cells of Fig. 3 and of the star counts together."""
+class PooledReprojectionRatio:
+    """Reprojection error over its prediction, mean of all points of Fig. 3 and of the star counts."""
 
     ratio_to_expected: Measured = col("Reprojection error over its prediction, mean of all cells")
 
 
-def overall(config: AcfConfig, trials: Mapping[str, Trials]) -> Overall:
-    """Mean over points of the mean over gyros: star noise is common to the gyros of a point, independent of others'."""
+def pool_ratios(config: AcfConfig, trials: Mapping[str, Trials]) -> PooledReprojectionRatio:
+    """Mean ratio over the points, each the mean over its gyros.
+
+    The gyros of a point share their star noise, so that a run counts once; different points have independent noise, and
+    the variances of their means add.
+    """
     means, variances, runs = [], [], 0
     for point in (*fig3_points(config), *counts_points(config)):
         ratio = np.mean(
@@ -219,25 +227,26 @@ def overall(config: AcfConfig, trials: Mapping[str, Trials]) -> Overall:
         variances.append(float(ratio.var(ddof=1)) / len(ratio))
         runs += len(ratio)
     error = float(np.sqrt(np.sum(variances))) / len(means)
-    return Overall(ratio_to_expected=Measured(value=float(np.mean(means)), uncertainty=error, n=runs))
+    return PooledReprojectionRatio(ratio_to_expected=Measured(value=float(np.mean(means)), uncertainty=error, n=runs))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Matching:
-    """Stars per frame for which the expected RMS is the published one, at one pixel."""
+class StarCountFromPublishedRms:
+    """Stars per frame at which the expected reprojection error is the published one, for one pixel pitch."""
 
     pixel_um: float = col("Pixel", "um", ".2f")
     stars_per_frame_perfect_gyro: float = col("Stars, perfect gyro", "per frame", ".0f")  # From sigma sqrt(14 / n)
-    # With Table 1's gyro; infinite where the error by the gyro alone is larger
+    # With Table 1's gyro; infinite if the error by the gyro alone exceeds the published RMS
     stars_per_frame: float = col("Stars, Table 1's gyro", "per frame", ".0f")
     gyro_rms_px: float = col("Error by the gyro alone", "px", ".4f")
-    # Where the expected RMS is within one standard deviation of a run of the published one; NaN if nowhere
+    # Interval in which expected and published RMS differ by less than the standard deviation of a run; NaN: empty
     stars_per_frame_range: FloatArray = col("Stars within one sigma of a run", "per frame", ".0f", "end")
 
 
-def matching_stars(config: AcfConfig, pixel_um: float, stars: int = 40) -> Matching:
-    """Solve for the number of stars: their part of the mean square is proportional to 1 / n, the gyro's is constant."""
-    sigma_px, noise = config.table_noise_px, table1_gyro(config)
+def infer_star_count(config: AcfConfig, pixel_um: float, stars: int = 40) -> StarCountFromPublishedRms:
+    """Solve published RMS^2 = a / n + b for n: a / n is the part of the star noise, b that of the gyro."""
+    sigma_px = config.table_noise_px
+    noise = table1_gyro(config)
     point = TrialPoint(name="", runs=0, noise_px=sigma_px, gyro=(noise,), methods=(), stars=stars, pixel_um=pixel_um)
     sky = sky_of(config, point, 0)
     published_px2 = float(FIG4_RMS_PX @ FIG4_RMS_PX)
@@ -246,9 +255,9 @@ def matching_stars(config: AcfConfig, pixel_um: float, stars: int = 40) -> Match
     grid = np.geomspace(5.0, 125.0, 25)
     expected = expected_at(config, point, 0, [sigma_px * float(np.sqrt(stars / n)) for n in grid])
     within = grid[[abs(np.sqrt(published_px2) - rms.mean_px) < rms.scatter_px for rms in expected]]
-    return Matching(
+    return StarCountFromPublishedRms(
         pixel_um=pixel_um,
-        stars_per_frame_perfect_gyro=14.0 * sigma_px**2 / published_px2 / ((config.frames + 1) // 2),
+        stars_per_frame_perfect_gyro=N_UNKNOWNS * sigma_px**2 / published_px2 / ((config.frames + 1) // 2),
         stars_per_frame=stars * factor,
         gyro_rms_px=float(np.sqrt(gyro_px2)),
         stars_per_frame_range=within[[0, -1]] if len(within) else np.full(2, np.nan),
@@ -289,13 +298,13 @@ REPROJECTION = {
         "an error of 25 % and is not judged.",
     ),
     "counts": Section(
-        record=Count,
+        record=StarCountRow,
         dim="count",
         along="stars_per_frame",
         caption="Mean RMS reprojection error at the noise of ACF17 Table 2 against the number of stars in every frame.",
     ),
     "reprojection": Section(
-        record=Overall,
+        record=PooledReprojectionRatio,
         verdicts=[
             ratio_near(
                 "ratio_to_expected",
@@ -305,5 +314,5 @@ REPROJECTION = {
             )
         ],
     ),
-    "matching": Section(record=Matching, dim="pixel"),
+    "matching": Section(record=StarCountFromPublishedRms, dim="pixel"),
 }

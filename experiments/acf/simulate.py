@@ -34,13 +34,13 @@ class AcfScene:
     camera: BrownConrady  # The star sensor
     attitude: Rotation  # Cam from icrs
     body: Rotation  # Gyro body at a frame from gyro body at the first
-    installation: Rotation  # Cam from gyro body
+    installation: Rotation  # Cam from gyro body: mounting of the star sensor, ACF17's installation matrix
     time_s: FloatArray  # (f,) Times of the frames
-    swept: FloatArray  # (f, 3, 3) Time integral of the rotations to the first body frame [s]
+    integrated_rotation: FloatArray  # (f, 3, 3) P_k: integral over time of the rotation to the first body frame [s]
     motion: TurningAxis  # Motion of the gyro's body
 
     def __post_init__(self) -> None:
-        freeze_all(self, time_s=("f",), swept=("f", 3, 3))
+        freeze_all(self, time_s=("f",), integrated_rotation=("f", 3, 3))
 
 
 def build_camera(config: AcfConfig, pixel_um: float | None = None) -> BrownConrady:
@@ -67,13 +67,13 @@ def build_camera(config: AcfConfig, pixel_um: float | None = None) -> BrownConra
 
 def start_camera(config: AcfConfig, geometry: SensorGeometry) -> BrownConrady:
     """The camera that the adjustments start from: no distortion."""
-    s = config.start
-    return BrownConrady.create(geometry, focal_length_mm=s.focal_length_mm, x0_px=s.x0_px, y0_px=s.y0_px)
+    start = config.start
+    return BrownConrady.create(geometry, focal_length_mm=start.focal_length_mm, x0_px=start.x0_px, y0_px=start.y0_px)
 
 
 @lru_cache(maxsize=8)
 def build_scene(config: AcfConfig, pixel_um: float | None = None) -> AcfScene:
-    """Camera, motion and gyro of a configuration; ``pixel_um`` as of `build_camera`."""
+    """Camera, motion and gyro of a configuration; ``pixel_um`` replaces the configured pixel pitch."""
     gyro = config.gyro
     installation = rotation_of_angles(DEG_RAD * np.array(gyro.installation_deg))
     first = rotation_of_angles(DEG_RAD * np.array(config.sky.phi_deg))
@@ -92,7 +92,7 @@ def build_scene(config: AcfConfig, pixel_um: float | None = None) -> AcfScene:
         body=body * body[0].inv(),
         installation=installation,
         time_s=time,
-        swept=swept_rotation(trajectory, time),
+        integrated_rotation=swept_rotation(trajectory, time),
         motion=trajectory,
     )
 
@@ -100,7 +100,10 @@ def build_scene(config: AcfConfig, pixel_um: float | None = None) -> AcfScene:
 def gyro_rotations(
     scene: AcfScene, config: AcfConfig, streams: Streams, runs: range, noise: tuple[float, float]
 ) -> list[Rotation]:
-    """Measured rotations of the body since the first frame, for each run; ``noise`` as of `TrialPoint.gyro`."""
+    """Measured rotations of the body since the first frame, for each run.
+
+    ``noise``: bias [deg/h] and angle random walk [deg/sqrt(h)].
+    """
     bias, walk = noise
     if bias == 0.0 and walk == 0.0:
         return [scene.body] * len(runs)
@@ -114,10 +117,10 @@ def gyro_rotations(
     return list(integrate_rates_many(time, rates, scene.time_s))
 
 
-def choose_frames(stars: DrawnStars, scene: AcfScene, which: str) -> tuple[NDArray[np.bool_], IntArray]:
+def choose_frames(stars: DrawnStars, scene: AcfScene, frame_selection: str) -> tuple[NDArray[np.bool_], IntArray]:
     """Stars of the frames that calibrate, and the frames: "odd" (first, third, ...) or "all"."""
     frames = np.arange(len(scene.time_s))
-    chosen = frames % 2 == 0 if which == "odd" else frames >= 0
+    chosen = frames % 2 == 0 if frame_selection == "odd" else frames >= 0
     return chosen[stars.frame], frames[chosen]
 
 
@@ -125,7 +128,7 @@ def observe(
     stars: DrawnStars, mask: NDArray[np.bool_], frames: IntArray, noise_px: float, rng: np.random.Generator
 ) -> Observations:
     """Noisy positions of some of the stars, whose frames are numbered from 0."""
-    # drawn for all stars: leaving a frame out changes no other star's noise
+    # Noise is drawn for all stars, so that leaving a frame out changes no other star's noise
     noise = noise_px * rng.standard_normal(stars.pixel_px.shape)
     return Observations.isotropic(
         pixel_px=(stars.pixel_px + noise)[mask],

@@ -38,8 +38,13 @@ PRINTED = np.array([
 """ACF17 Table 2, calibrated values; the text calls them the mean of 100 runs."""
 ROUNDING = np.array([0.01, 0.01, 1e-4, 1e-6, 1e-11, 1e-10, 1e-6, 1e-6, *(1e-4,) * 6])
 """Unit of the last printed digit. The errors of phi and theta are printed too, consistently, in arcsec."""
-CAMERA, FIRST = 8, 11
-"""Unknowns of the camera; those and the angles of the first frame."""
+PINHOLE, DISTORTION, CAMERA = slice(0, 3), slice(3, 8), slice(0, 8)
+PHI, THETA = slice(8, 11), slice(11, 14)
+"""Parts of the vector of unknowns: x0, y0, f; q1 to p2; both; angles of the first attitude; of the installation."""
+NOISE_PX = 0.1
+"""Star noise of ACF17 Table 2."""
+N_IMPLIED = 11
+"""Leading unknowns that the implied pixel is fitted to: camera and first attitude."""
 GRID_STARS = 11
 """Stars along each side of the detector, a regular grid, in the design that is scaled to other numbers."""
 NAMES = [name.replace("phi", "φ").replace("theta", "θ") for name in UNKNOWNS]
@@ -48,9 +53,9 @@ NAMES = [name.replace("phi", "φ").replace("theta", "θ") for name in UNKNOWNS]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Covariances:
-    """Predicted at one noise; angles phi and theta in rad."""
+    """Predicted covariances at one star noise; angles phi and theta in rad."""
 
-    perfect: FloatArray  # (14, 14) As ACC states it: the gyro taken as perfect, eq. 11
+    perfect: FloatArray  # (14, 14) As ACC states it, eq. 11 with an error-free gyro
     acc: FloatArray  # (14, 14) ACC with the gyro's error propagated
     linked: FloatArray  # (14, 14) Cramer-Rao bound with the noise of the gyro
     free: FloatArray  # (8, 8) Cramer-Rao bound with a free attitude in every frame
@@ -59,10 +64,10 @@ class Covariances:
 def covariances(config: AcfConfig, point: TrialPoint) -> Covariances:
     """Covariances of the estimates of a point, with its first gyro."""
     sky = sky_of(config, point, 0)
-    design, drift = sky.calibrating, gyro_drift(sky.scene, point.gyro[0])
-    to_angles = np.eye(14)  # from rotation vectors
-    for start, rotation in ((CAMERA, sky.scene.attitude[0]), (FIRST, sky.scene.installation)):
-        rows = slice(start, start + 3)
+    design = sky.calibrating
+    drift = gyro_drift(sky.scene, point.gyro[0])
+    to_angles = np.eye(14)  # From rotation vectors to angles
+    for rows, rotation in ((PHI, sky.scene.attitude[0]), (THETA, sky.scene.installation)):
         to_angles[rows, rows] = angle_per_increment(angles_of_rotation(rotation))
 
     def angles(covariance: FloatArray) -> FloatArray:
@@ -79,7 +84,7 @@ def covariances(config: AcfConfig, point: TrialPoint) -> Covariances:
 def in_degrees(values: FloatArray) -> FloatArray:
     """Numbers of the 14 unknowns (..., 14) with the angles in deg."""
     out = np.array(values)
-    out[..., CAMERA:] = np.degrees(out[..., CAMERA:])
+    out[..., CAMERA.stop :] = np.degrees(out[..., CAMERA.stop :])
     return out
 
 
@@ -155,20 +160,25 @@ class Implied:
 
 
 def implied(points: int = 29, printed: FloatArray = PRINTED) -> Implied:
-    """Pixel and stars per frame from Table 2; a function of ACF17 alone, not of the configuration."""
+    """Pixel and stars per frame from Table 2: mean and sigma of the pixel's profile likelihood, and the best star count.
+
+    A function of ACF17 alone, not of the configuration.
+    """
     config = AcfConfig()
     coarse_um = np.linspace(4.0, 12.0, 161)
     start_um = float(coarse_um[np.argmin([printed_reprojection_px2(config, um, printed) for um in coarse_um])])
-    pixel_um, stars = np.linspace(0.86, 1.14, points) * start_um, np.geomspace(2.0, 200.0, 93)
+    pixel_um = np.linspace(0.86, 1.14, points) * start_um
+    stars = np.geomspace(2.0, 200.0, 93)
     chi2, log_likelihood = np.moveaxis(np.stack([_fit(config, um, stars, printed) for um in pixel_um]), 1, 0)
     best = np.unravel_index(np.argmax(log_likelihood), log_likelihood.shape)
-    pixel_profile, stars_profile = log_likelihood.max(1), log_likelihood.max(0)
+    pixel_profile = log_likelihood.max(1)
+    stars_profile = log_likelihood.max(0)
     weight = np.exp(pixel_profile - pixel_profile.max())
     mean = float(weight @ pixel_um / weight.sum())
     sigma = float(np.sqrt(weight @ (pixel_um - mean) ** 2 / weight.sum()))
     assumed_chi2, assumed_likelihood = _fit(config, config.camera.pixel_pitch_um, stars, printed)
     return Implied(
-        pixel_um=Measured(value=mean, unit="um", uncertainty=sigma, n=FIRST),
+        pixel_um=Measured(value=mean, unit="um", uncertainty=sigma, n=N_IMPLIED),
         stars_per_frame=float(stars[best[1]]),
         stars_per_frame_range=stars[stars_profile > stars_profile.max() - 0.5][[0, -1]],
         chi2=float(chi2[best]),
@@ -180,21 +190,22 @@ def printed_reprojection_px2(config: AcfConfig, pixel_um: float, printed: FloatA
     """Mean square distance between printed and true camera and attitude, on the first frame."""
     true = build_scene(config, pixel_um).camera
     direction = true.unproject(true.geometry.grid_px(25))
-    attitude, printed_attitude = (rotation_of_angles(DEG_RAD * angles[CAMERA:FIRST]) for angles in (TRUE, printed))
-    printed_px = true.with_parameters(printed[:CAMERA]).project((printed_attitude * attitude.inv()).apply(direction))
+    attitude, printed_attitude = (rotation_of_angles(DEG_RAD * angles[PHI]) for angles in (TRUE, printed))
+    printed_px = true.with_parameters(printed[CAMERA]).project((printed_attitude * attitude.inv()).apply(direction))
     return float(((printed_px - true.project(direction)) ** 2).sum(1).mean())
 
 
 def _fit(config: AcfConfig, pixel_um: float, stars: FloatArray, printed: FloatArray) -> FloatArray:
     """chi^2 of the printed errors and logarithm of their likelihood (2, s), for numbers of stars per frame (s,)."""
-    scene, design = build_scene(config, pixel_um), _even_design(config, pixel_um)
-    perfect = correlated_covariance(design, 0.1)
-    gyro = correlated_covariance(design, 0.1, gyro_drift(scene, table1_gyro(config))) - perfect
-    to_degrees = np.eye(FIRST)  # from rotation vectors
-    to_degrees[CAMERA:, CAMERA:] = angle_per_increment(DEG_RAD * TRUE[CAMERA:FIRST]) / DEG_RAD
-    perfect, gyro = (to_degrees @ part[:FIRST, :FIRST] @ to_degrees.T for part in (perfect, gyro))
-    error = (printed - TRUE)[:FIRST]
-    rounding = np.diag(ROUNDING[:FIRST] ** 2 / 12.0)
+    scene = build_scene(config, pixel_um)
+    design = _even_design(config, pixel_um)
+    perfect = correlated_covariance(design, NOISE_PX)
+    gyro = correlated_covariance(design, NOISE_PX, gyro_drift(scene, table1_gyro(config))) - perfect
+    to_degrees = np.eye(N_IMPLIED)  # From rotation vectors to angles
+    to_degrees[PHI, PHI] = angle_per_increment(DEG_RAD * TRUE[PHI]) / DEG_RAD
+    perfect, gyro = (to_degrees @ part[:N_IMPLIED, :N_IMPLIED] @ to_degrees.T for part in (perfect, gyro))
+    error = (printed - TRUE)[:N_IMPLIED]
+    rounding = np.diag(ROUNDING[:N_IMPLIED] ** 2 / 12.0)
     return np.transpose([log_likelihood(error, perfect * (GRID_STARS**2 / n) + gyro + rounding) for n in stars])
 
 

@@ -37,13 +37,14 @@ from render.engine.random import Streams
 
 Method = Literal["acc", "linked", "free", "iac", "iac_full"]
 COMPARED: tuple[Method, ...] = ("acc", "linked", "free", "iac", "iac_full")
-"""ACC of the paper, a gyro of stated noise, free attitudes, interstar angles (IAC) as published, fully weighted IAC."""
+"""ACC of the paper (error-free gyro); gyro weighted by its noise; independent attitudes; IAC as published; IAC with
+full covariance."""
 LINKED = ("acc", "linked")
 """Methods that use the gyro."""
 GRID = 15
 """Points along each side of the line-of-sight map and of the residual distortion."""
-DRAWN = 400
-"""Line-of-sight errors drawn from the predicted covariance of every sky, for the scatter of a gain."""
+SAMPLES = 400
+"""Line-of-sight errors sampled from the predicted covariance of every sky, for the distribution of a gain."""
 CHUNK = 25
 """Largest number of runs of a task: a few seconds of work at most."""
 
@@ -72,13 +73,13 @@ def table1_gyro(config: AcfConfig) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trials:
-    """The runs of a point: arrays with the runs along the first axis, named as `run_task` does."""
+    """Results of a point's runs, which are the first axis of every array; `of` names them."""
 
     point: TrialPoint
     values: Mapping[str, FloatArray]
 
     def of(self, method: str, quantity: str, gyro: int | None = 0) -> FloatArray:
-        """A quantity of a method; ``gyro`` numbers the gyros of the `LINKED` methods."""
+        """A quantity of a method: keys of `_calibration_errors`, `_predicted_errors`; ``gyro``: for `LINKED` methods."""
         label = f"{method}@{gyro}" if method in LINKED else method
         return self.values[f"{label}.{quantity}"]
 
@@ -115,7 +116,7 @@ class NightSky:
 
 
 def run_task(task: Task) -> dict[str, FloatArray]:
-    """Runs of a task."""
+    """Calibrate the runs of a task with every method and gyro, as "method.quantity" or "method@gyro.quantity"."""
     point, scene = task.point, build_scene(task.config, task.point.pixel_um)
     grid = map_grid(task.config, task.point.pixel_um)
     streams = Streams(task.config.seed).child("acf", point.name)
@@ -135,18 +136,18 @@ def run_task(task: Task) -> dict[str, FloatArray]:
                 label = method if k is None else f"{method}@{k}"
                 result |= {f"{label}.{quantity}": value for quantity, value in errors.items()}
         if point.new_sky_each_run:
-            result |= _bounds(point, sky, grid.mean_square, streams.generator("expected gain", run))
+            result |= _predicted_errors(point, sky, grid.mean_square, streams.generator("expected gain", run))
         results.append(result)
     return {key: np.stack([np.asarray(result[key], float) for result in results]) for key in results[0]}
 
 
 @lru_cache(maxsize=4)
-def _sky(config: AcfConfig, which: str, exactly: int | None, pixel_um: float | None, number: int) -> NightSky:
+def _sky(config: AcfConfig, frame_selection: str, exactly: int | None, pixel_um: float | None, number: int) -> NightSky:
     scene = build_scene(config, pixel_um)
     rng = Streams(config.seed).child("acf").generator("sky", number)
     mean = config.sky.stars_per_frame if exactly is None else None
     stars = draw_stars(scene.camera, scene.attitude, rng, mean=mean, exactly=exactly or 0)
-    used, frames = choose_frames(stars, scene, which)
+    used, frames = choose_frames(stars, scene, frame_selection)
     design = LinkedDesign.at(scene.camera, scene.attitude, scene.installation, stars.direction, stars.frame)
     return NightSky(scene=scene, stars=stars, used=used, frames=frames, design=design)
 
@@ -242,30 +243,31 @@ def gyro_drift(scene: AcfScene, noise: tuple[float, float]) -> GyroDrift:
     """Error of a gyro with a bias [deg/h] and an angle random walk [deg/sqrt(h)]."""
     return GyroDrift.of(
         scene.time_s,
-        scene.swept,
+        scene.integrated_rotation,
         bias_rad_per_s=noise[0] * DEG_RAD / HOUR_S,
         walk_rad_per_sqrt_s=noise[1] * DEG_RAD / np.sqrt(HOUR_S),
     )
 
 
-def _bounds(point: TrialPoint, sky: NightSky, matrix: FloatArray, rng: np.random.Generator) -> dict[str, FloatArray]:
-    """Predicted sigma of the camera's parameters and, last, of the line of sight [arcsec]; drawn errors of the line of
-    sight, for free attitudes and for a gyro of stated noise on the same stars."""
-    design, parameters = sky.calibrating, len(sky.scene.camera.parameters)
+def _predicted_errors(
+    point: TrialPoint, sky: NightSky, matrix: FloatArray, rng: np.random.Generator
+) -> dict[str, FloatArray | float]:
+    """Line-of-sight errors [arcsec] by the covariances of `calib.calibration.linked_design`: RMS, and random samples.
 
-    def sigmas(covariance: FloatArray) -> FloatArray:
-        return np.append(np.sqrt(np.diag(covariance)[:parameters]), expected_rms(matrix, covariance))
-
+    Samples of a gyro-weighted fit and of independent attitudes are correlated, as of fits to the same stars.
+    """
+    design = sky.calibrating
+    size = len(matrix)
     free = free_bound(design, point.noise_px)
-    result = {"bound.free": sigmas(free)}
+    result: dict[str, FloatArray | float] = {"free.predicted_arcsec": expected_rms(matrix, free)}
     for k, noise in enumerate(point.gyro):
         drift = gyro_drift(sky.scene, noise)
-        result[f"bound@{k}.acc"] = sigmas(correlated_covariance(design, point.noise_px, drift))
+        acc = correlated_covariance(design, point.noise_px, drift)
         linked = linked_bound(design, point.noise_px, drift)
-        result[f"bound@{k}.linked"] = sigmas(linked)
-        size = len(matrix)
-        drawn = drawn_rms(matrix, linked[:size, :size], free, DRAWN, rng)
-        result[f"drawn@{k}.linked"], result[f"drawn@{k}.free"] = drawn
+        result[f"acc@{k}.predicted_arcsec"] = expected_rms(matrix, acc)
+        result[f"linked@{k}.predicted_arcsec"] = expected_rms(matrix, linked)
+        samples = drawn_rms(matrix, linked[:size, :size], free, SAMPLES, rng)
+        result[f"linked@{k}.sampled_arcsec"], result[f"linked@{k}.sampled_free_arcsec"] = samples
     return result
 
 

@@ -6,19 +6,19 @@ import pytest
 from experiments.acf import experiment as study
 from experiments.acf import table2 as table2_module
 from experiments.acf import trials as monte_carlo
-from experiments.acf.gain import gain, gains, sweep_points
-from experiments.acf.methods import fig5_points, largest_distortion, methods
+from experiments.acf.gain import gain_by_stars, median_ratio, sweep_points
+from experiments.acf.methods import compare_methods, fig5_points, largest_distortion
 from experiments.acf.reprojection import (
-    counts,
     counts_points,
     expected_at,
     fig3,
     fig3_points,
     fig4,
+    infer_star_count,
     inferred_point,
-    matching_stars,
-    overall,
+    pool_ratios,
     root_mean_square,
+    sweep_star_counts,
     table2_point,
 )
 from experiments.acf.settings import AcfConfig, AcfSkyConfig, SweepConfig, experiment
@@ -87,7 +87,7 @@ def fig5():
                 line_of_sight_arcsec=wide,
             )
         trials[point.name] = Trials(point=point, values=values)
-    return methods(CONFIG, trials)
+    return compare_methods(CONFIG, trials)
 
 
 def test_errors_by_noise(fig5):
@@ -151,7 +151,7 @@ def test_a_gain_that_every_sky_has_is_certain():
     """Errors of both methods differ from sky to sky alike; of independent ones a ratio of medians of 1000 is drawn."""
     rng = np.random.default_rng(3)
     free, pick = rng.lognormal(0.0, 0.5, 1000), rng.integers(0, 1000, (400, 1000))
-    certain, guessed = gain(free, 0.5 * free, pick), gain(free, rng.permutation(free), pick)
+    certain, guessed = median_ratio(free, 0.5 * free, pick), median_ratio(free, rng.permutation(free), pick)
     assert (certain.value, certain.uncertainty) == pytest.approx((2.0, 0.0), abs=1e-12)
     # a median of n normal logarithms scatters by 0.5 sqrt(pi / 2 n)
     assert guessed.uncertainty == pytest.approx(0.5 * np.sqrt(np.pi / 2000) * np.sqrt(2.0), rel=0.3)
@@ -164,7 +164,7 @@ def test_gains_by_hand():
         values = runs_of(
             point, "free", None, line_of_sight_arcsec=[4, 8, 16], converged=[1, 1, 1], error=np.full((3, 8), 3.0)
         )
-        values["bound.free"] = np.full((3, 9), 6.0) * np.array([[1.0], [2.0], [3.0]])
+        values["free.predicted_arcsec"] = np.array([6.0, 12.0, 18.0])
         for k in range(2):
             for method in ("acc", "linked"):
                 # the smallest error is of a run that failed: the median of 2, 4 and infinity
@@ -176,21 +176,21 @@ def test_gains_by_hand():
                     converged=[0, 1, 1],
                     error=np.full((3, 8), 1.0),
                 )
-                values[f"bound@{k}.{method}"] = np.full((3, 9), 2.0 + 2.0 * k)
+                values[f"{method}@{k}.predicted_arcsec"] = np.full(3, 2.0 + 2.0 * k)
             # medians 6 and 3, then 6 and 1.5: logarithms log 2 and log 4
-            values[f"drawn@{k}.free"] = np.array([[6.0, 6.0], [5.0, 9.0], [9.0, 1.0]])
-            values[f"drawn@{k}.linked"] = np.array([[3.0, 1.0], [2.0, 1.5], [9.0, 4.0]])
+            values[f"linked@{k}.sampled_free_arcsec"] = np.array([[6.0, 6.0], [5.0, 9.0], [9.0, 1.0]])
+            values[f"linked@{k}.sampled_arcsec"] = np.array([[3.0, 1.0], [2.0, 1.5], [9.0, 4.0]])
         trials[point.name] = Trials(point=point, values=values)
-    few, many = gains(CONFIG, trials)
+    few, many = gain_by_stars(CONFIG, trials)
     assert (few.stars_per_frame, many.stars_per_frame) == (4, 12)
     assert [one.value for one in few.acc + few.linked] == pytest.approx([4.0] * 4)
     assert [one.value for one in many.acc] == pytest.approx([2.0] * 2)
-    assert few.acc_bound == pytest.approx([6.0, 3.0])
-    assert few.linked_bound == pytest.approx([6.0, 3.0])
+    assert few.acc_expected == pytest.approx([6.0, 3.0])
+    assert few.linked_expected == pytest.approx([6.0, 3.0])
     assert few.acc[0].uncertainty > 0.0
     spread = np.log(2.0) / np.sqrt(2.0)
-    assert few.linked_deviation_sigma == pytest.approx([0.5 * np.log(2.0) / spread] * 2)
-    assert few.linked_full_deviation_sigma == pytest.approx([1.0 / spread] * 2)
+    assert few.linked_log_gain_z == pytest.approx([0.5 * np.log(2.0) / spread] * 2)
+    assert few.linked_log_gain_unit_z == pytest.approx([1.0 / spread] * 2)
 
 
 @pytest.fixture(scope="module")
@@ -215,7 +215,7 @@ def reprojected():
 
 def test_reprojection_over_its_prediction(reprojected):
     trials, inferred = reprojected
-    ratio = overall(CONFIG, trials).ratio_to_expected
+    ratio = pool_ratios(CONFIG, trials).ratio_to_expected
     assert (ratio.value, ratio.n) == (pytest.approx(1.1), 16)
     # four points of four runs; standard deviation of a run 1.1 sqrt(0.08 / 3)
     assert ratio.uncertainty == pytest.approx(1.1 * np.sqrt(0.08 / 3.0) / 4.0)
@@ -226,7 +226,7 @@ def test_reprojection_over_its_prediction(reprojected):
         assert (panel.expected_px[:, 1] > panel.expected_px[:, 0]).all()
         assert panel.expected_px[1, 0] / panel.expected_px[0, 0] == pytest.approx(4.0)  # perfect gyro
     assert np.array_equal(by_bias.expected_px[:, 0], by_walk.expected_px[:, 0])
-    eight, sixteen = counts(CONFIG, trials)
+    eight, sixteen = sweep_star_counts(CONFIG, trials)
     assert (eight.stars_per_frame, sixteen.stars_per_frame) == (8, 16)
     assert [number.value for number in eight.rms_px] == pytest.approx(1.1 * eight.expected_px)
     assert eight.expected_px[0] / sixteen.expected_px[0] == pytest.approx(np.sqrt(2.0), rel=0.15)  # sigma sqrt(14 / n)
@@ -245,7 +245,7 @@ def test_reprojection_over_its_prediction(reprojected):
 
 def test_stars_that_give_the_published_error():
     """The expectation at the result is the published RMS; without the gyro's part it is sigma sqrt(14 / n)."""
-    result = matching_stars(CONFIG, 10.0, stars=40)
+    result = infer_star_count(CONFIG, 10.0, stars=40)
     published = np.hypot(0.0132, 0.0123)
     assert result.stars_per_frame_perfect_gyro == pytest.approx(14.0 * (CONFIG.table_noise_px / published) ** 2 / 6.0)
     assert result.stars_per_frame_range[0] <= result.stars_per_frame <= result.stars_per_frame_range[1]
