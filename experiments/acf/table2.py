@@ -160,7 +160,7 @@ class Implied:
 
 
 def implied(points: int = 29, printed: FloatArray = PRINTED) -> Implied:
-    """Pixel and stars per frame from Table 2: mean and sigma of the pixel's profile likelihood, and the best star count.
+    """Pixel and stars per frame from Table 2: mean and sigma of the pixel's profile likelihood, best star count.
 
     A function of ACF17 alone, not of the configuration.
     """

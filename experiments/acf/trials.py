@@ -79,7 +79,7 @@ class Trials:
     values: Mapping[str, FloatArray]
 
     def of(self, method: str, quantity: str, gyro: int | None = 0) -> FloatArray:
-        """A quantity of a method: keys of `_calibration_errors`, `_predicted_errors`; ``gyro``: for `LINKED` methods."""
+        """A quantity of a method: keys of `_calibration_errors`, `_predicted_errors`; ``gyro`` for `LINKED` only."""
         label = f"{method}@{gyro}" if method in LINKED else method
         return self.values[f"{label}.{quantity}"]
 
