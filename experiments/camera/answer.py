@@ -210,12 +210,14 @@ def parameters(config: CameraReportConfig, base: CameraPrediction) -> list[tuple
 
 SECOND_LEVEL = 0.997
 """Level of the second attitude accuracy of the answer: fraction of the frames."""
+VERDICT, ADVICE = "Requirements", "Change first"
+"""Names of the lines that may need further predictions: verdict on the requirements, most effective change."""
 
 
-def answer_lines(
+def answer_rows(
     prediction: CameraPrediction, requirements: Sequence[Requirement], swings: Sequence[Swing]
-) -> list[str]:
-    """The answer: ten lines of at most 80 characters, apart from long names."""
+) -> dict[str, str]:
+    """Name -> line of at most 80 characters, apart from long names; the last two are `VERDICT` and `ADVICE`."""
     lens, star, sky = prediction.records
     state, config, forecast = prediction.state, prediction.config, prediction.attitude
     system, quoted = state.light.magnitude_system, config.star.magnitude_mag
@@ -246,10 +248,10 @@ def answer_lines(
         + _accuracies(
             "99.7 %", mixture_bound(across, SECOND_LEVEL), mixture_bound(forecast.total_arcsec[:, 2], SECOND_LEVEL)
         ),
-        "Requirements": _verdict(requirements),
-        "Change first": advice or "no key of [tornado] lowers the attitude error",
+        VERDICT: _verdict(requirements),
+        ADVICE: advice or "no key of [tornado] lowers the attitude error",
     }
-    return [f"{name:<19} {text}" for name, text in rows.items()]
+    return {name: f"{name:<19} {text}" for name, text in rows.items()}
 
 
 def _accuracies(level: str, across: float, roll: float) -> str:

@@ -17,6 +17,7 @@ from calib.accuracy.frame_check import (
     limit_shift,
     rms_against_sigma,
 )
+from calib.photometry.zero_point import POGSON
 from experiments.harness.plotting import new_figure
 from experiments.harness.quantities import Outcome, Quantities
 from experiments.harness.sections import Section, agree, below, col, ratio_near
@@ -27,15 +28,15 @@ from optics.figures import draw_image
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ChartFrames:
-    """n artificial stars in k readouts."""
+class StarGridFrames:
+    """n artificial stars on a jittered grid, read out k times."""
 
     bright_mag: float  # Magnitude of the stars whose scatter is measured
     magnitude: FloatArray  # (n,)
-    radius_px: FloatArray  # (n,) From the middle of the detector
-    electrons: FloatArray  # (n,) On the detector, also beyond the stamps of diffraction images
+    radius_px: FloatArray  # (n,) Distance from the detector's centre
+    electrons: FloatArray  # (n,) Expected on the detector, light beyond the stamps of diffraction images included
     detected: NDArray[np.bool_]  # (k, n)
-    error_px: FloatArray  # (k, n, 2) Centroid minus photocentre of the star; NaN: none
+    error_px: FloatArray  # (k, n, 2) Centroid minus photocentre of the star; NaN: not detected, or centroid not usable
     false_alarms: NDArray[np.int64]  # (frames,) Detections without a star that are not flagged as too sharp
 
 
@@ -43,29 +44,31 @@ class ChartFrames:
 class SkyFrames:
     """m frames of the real sky; frame k has attitude k of the prediction."""
 
-    detected: NDArray[np.int64]  # (m,) Stars
-    fit: NDArray[np.int64]  # (m,) Detected stars that are fit for an attitude
-    false_alarms: NDArray[np.int64]  # (m,) As of the chart
-    error_arcsec: FloatArray  # (m, 3) Attitude minus truth about x, y (across) and z (roll); NaN: not solved
+    detected: NDArray[np.int64]  # (m,) Number of detected stars
+    usable: NDArray[np.int64]  # (m,) Number of detected stars whose centroid is usable for an attitude
+    false_alarms: NDArray[np.int64]  # (m,) Detections without a star that are not flagged as too sharp
+    error_arcsec: FloatArray  # (m, 3) Attitude minus truth about x, y (cross-boresight) and z (roll); NaN: not solved
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rendered:
     """Measurements from the rendered frames."""
 
-    chart: ChartFrames
-    slewing: tuple[CameraPrediction, ChartFrames] | None  # Chart during a slew, and its prediction
+    star_grid: StarGridFrames
+    slewing: tuple[CameraPrediction, StarGridFrames] | None  # Prediction and frames of the star grid during a slew
     sky: SkyFrames
-    example_e: NDArray[np.float32]  # (h, w) First frame of the sky, electrons above the dark
-    example_px: FloatArray  # (n, 2) Its centroids
+    example_e: NDArray[np.float32]  # (h, w) First frame of the sky, electrons above the mean dark frame
+    example_px: FloatArray  # (n, 2) Centroids in the first frame of the sky
 
 
-UNFIT_FRACTION = 0.05
-"""Relative uncertainty of the number of stars by fits that do not converge or are flagged as too sharp."""
-FEWEST_STARS = 8
-"""Stars from which an identification is certain."""
-MAG = 2.5 / math.log(10.0)
-"""Magnitudes per relative error of the light."""
+UNUSABLE_FRACTION = 0.05
+"""Relative uncertainty of the number of usable stars: centroid fits that fail or are flagged as too sharp."""
+COUNT_FLOOR = 1.0
+"""Least variance of a predicted number of stars: one count, for certain detections of variance 0."""
+MIN_SOLVABLE_STARS = 8
+"""Frames with this number of predicted stars are required to be solved."""
+PUPIL_QUADRATURE = 1e-3
+"""Relative error of electrons by two independent integrations over the pupil."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,17 +83,19 @@ class FrameComparison:
     error: float = col("Standard deviation", format=".2g")
     n: int = col("Samples")
     deviation_sigma: Measured = col("Difference", "sigma", ".1f")
-    predicted_over_sigma: float = col(
-        "Predicted over its standard deviation", "sigma", shown=False
-    )  # Scale of a relative error
+    # Change by a relative error of 100 %: the predicted value; of a magnitude, Pogson's factor 2.5 / ln 10
+    relative_error_scale_sigma: float = col("Relative error of 100 %", "sigma", shown=False)
 
 
-def compared(comparison: str, label: str, unit: str, sample: MeasuredAgainst, scale: float = 1.0) -> FrameComparison:
+def compare_sample(
+    comparison: str, label: str, unit: str, sample: MeasuredAgainst, scale: float = 1.0
+) -> FrameComparison:
     """A comparison with its difference in standard deviations; ``scale`` converts to the unit."""
-    deviation = predicted_over_sigma = math.nan
+    deviation = math.nan
+    relative_error_scale = math.nan
     if sample.error > 0:
         deviation = (sample.measured - sample.predicted) / sample.error
-        predicted_over_sigma = abs(MAG if unit == "mag" else sample.predicted) / sample.error
+        relative_error_scale = abs(POGSON if unit == "mag" else sample.predicted) / sample.error
     return FrameComparison(
         comparison=comparison,
         label=label,
@@ -100,7 +105,7 @@ def compared(comparison: str, label: str, unit: str, sample: MeasuredAgainst, sc
         error=scale * sample.error,
         n=sample.n,
         deviation_sigma=Measured(value=deviation, unit="sigma", uncertainty=1.0),
-        predicted_over_sigma=predicted_over_sigma,
+        relative_error_scale_sigma=relative_error_scale,
     )
 
 
@@ -108,9 +113,9 @@ def compared(comparison: str, label: str, unit: str, sample: MeasuredAgainst, sc
 class SolvedFrames:
     """Frames of the sky, and their attitudes."""
 
-    chart_stars: int = col("Chart stars")
-    frames_unsolved: int = col(f"Frames with {FEWEST_STARS} stars or more that are not solved")
-    # None: no frame solved
+    chart_stars: int = col("Artificial stars")
+    frames_unsolved: int = col(f"Frames with {MIN_SOLVABLE_STARS} stars or more that are not solved")
+    # RMS of error / predicted sigma over frames and axes; None: no frame solved
     attitude_ratio: Measured | None = col("Attitude errors over predicted ones, RMS of three axes", default=None)
     rendered: Rendered
 
@@ -118,7 +123,7 @@ class SolvedFrames:
 def solved_frames(prediction: CameraPrediction, rendered: Rendered) -> SolvedFrames:
     """Solution statistics of the frames of the sky."""
     error = rendered.sky.error_arcsec
-    enough = prediction.attitude.stars[: len(error)] >= FEWEST_STARS
+    solvable = prediction.attitude.stars[: len(error)] >= MIN_SOLVABLE_STARS
     solved = np.isfinite(error).all(axis=1)
     ratio = None
     if solved.any():
@@ -126,8 +131,8 @@ def solved_frames(prediction: CameraPrediction, rendered: Rendered) -> SolvedFra
         sample = rms_against_sigma(error[solved] / sigma, np.ones_like(sigma))
         ratio = Measured(value=sample.measured, uncertainty=sample.error, n=sample.n)
     return SolvedFrames(
-        chart_stars=len(rendered.chart.magnitude),
-        frames_unsolved=int(np.count_nonzero(enough & ~solved)),
+        chart_stars=len(rendered.star_grid.magnitude),
+        frames_unsolved=int(np.count_nonzero(solvable & ~solved)),
         attitude_ratio=ratio,
         rendered=rendered,
     )
@@ -136,76 +141,79 @@ def solved_frames(prediction: CameraPrediction, rendered: Rendered) -> SolvedFra
 def compare(prediction: CameraPrediction, rendered: Rendered) -> list[FrameComparison]:
     """All comparisons of a run."""
     return [
-        _electrons(prediction, rendered),
-        noise_of_chart(prediction, rendered.chart),
-        *([] if rendered.slewing is None else [noise_of_chart(*rendered.slewing, key="nea_moving")]),
-        _limit(prediction, rendered),
-        _alarms(prediction, rendered),
-        *_stars(prediction, rendered),
-        *_attitude(prediction, rendered),
+        _compare_electrons(prediction, rendered),
+        compare_noise(prediction, rendered.star_grid),
+        *([] if rendered.slewing is None else [compare_noise(*rendered.slewing, key="nea_moving")]),
+        _compare_limiting_magnitude(prediction, rendered),
+        _compare_false_alarms(prediction, rendered),
+        *_compare_star_counts(prediction, rendered),
+        *_compare_attitudes(prediction, rendered),
     ]
 
 
-def bright_stars(chart: ChartFrames) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Errors (k, n, 2) [px], electrons and radii (n,) [px] of the bright stars with a valid fit in all readouts."""
-    good = (chart.magnitude == chart.bright_mag) & np.isfinite(chart.error_px).all(axis=(0, 2))
-    return chart.error_px[:, good], chart.electrons[good], chart.radius_px[good]
+def bright_stars(grid: StarGridFrames) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Errors (k, n, 2) [px], electrons and radii (n,) [px] of the bright stars, if usable in all readouts."""
+    usable = (grid.magnitude == grid.bright_mag) & np.isfinite(grid.error_px).all(axis=(0, 2))
+    return grid.error_px[:, usable], grid.electrons[usable], grid.radius_px[usable]
 
 
-def _electrons(prediction: CameraPrediction, rendered: Rendered) -> FrameComparison:
+def _compare_electrons(prediction: CameraPrediction, rendered: Rendered) -> FrameComparison:
     """Electrons of the renderer, against aperture area times throughput from an independent trace."""
-    chart = rendered.chart
-    bright = chart.magnitude == chart.bright_mag
-    kelvin = prediction.config.star.temperature_k
-    predicted = float(prediction.electrons(chart.magnitude[bright], kelvin, chart.radius_px[bright]).mean())
-    measured = float(chart.electrons[bright].mean())
-    # both integrate over the pupil numerically, to 1e-3
-    sample = MeasuredAgainst(measured=measured, predicted=predicted, error=1e-3 * predicted, n=int(bright.sum()))
-    return compared("electrons", f"Electrons of a star of {chart.bright_mag:.2f} mag", "e-", sample)
+    grid = rendered.star_grid
+    bright = grid.magnitude == grid.bright_mag
+    temperature_k = prediction.config.star.temperature_k
+    predicted = float(prediction.electrons(grid.magnitude[bright], temperature_k, grid.radius_px[bright]).mean())
+    measured = float(grid.electrons[bright].mean())
+    error = PUPIL_QUADRATURE * predicted
+    sample = MeasuredAgainst(measured=measured, predicted=predicted, error=error, n=int(bright.sum()))
+    return compare_sample("electrons", f"Electrons of a star of {grid.bright_mag:.2f} mag", "e-", sample)
 
 
-def noise_of_chart(prediction: CameraPrediction, chart: ChartFrames, key: str = "nea") -> FrameComparison:
+def compare_noise(prediction: CameraPrediction, grid: StarGridFrames, key: str = "nea") -> FrameComparison:
     """Scatter of the bright stars over the readouts against the NEA."""
     rate = prediction.config.slew.rate_deg_per_s
-    label = f"NEA of a star of {chart.bright_mag:.2f} mag" + (f" at {rate:.3g} °/s" if rate else "")
-    sample = centroid_scatter(*bright_stars(chart), prediction.stars, prediction.processing)
-    return compared(key, label, "arcsec", sample, prediction.state.pixel_arcsec)
+    label = f"NEA of a star of {grid.bright_mag:.2f} mag" + (f" at {rate:.3g} °/s" if rate else "")
+    sample = centroid_scatter(*bright_stars(grid), prediction.stars, prediction.processing)
+    return compare_sample(key, label, "arcsec", sample, prediction.state.pixel_arcsec)
 
 
-def _limit(prediction: CameraPrediction, rendered: Rendered) -> FrameComparison:
-    """Limiting magnitude from the faint stars of the chart."""
-    chart = rendered.chart
-    faint = chart.magnitude != chart.bright_mag
-    detected = chart.detected[:, faint].mean(axis=0)
-    shift, error = limit_shift(detected, chart.electrons[faint], chart.radius_px[faint], prediction.stars)
+def _compare_limiting_magnitude(prediction: CameraPrediction, rendered: Rendered) -> FrameComparison:
+    """Limiting magnitude from the faint stars of the grid."""
+    grid = rendered.star_grid
+    faint = grid.magnitude != grid.bright_mag
+    detected = grid.detected[:, faint].mean(axis=0)
+    shift, error = limit_shift(detected, grid.electrons[faint], grid.radius_px[faint], prediction.stars)
     limit = prediction.value("limiting_magnitude_mag")
     sample = MeasuredAgainst(
-        measured=limit + shift, predicted=limit, error=error, n=int(detected.size * len(chart.detected))
+        measured=limit + shift, predicted=limit, error=error, n=int(detected.size * len(grid.detected))
     )
-    return compared("limiting_magnitude", "Limiting magnitude, half detected", "mag", sample)
+    return compare_sample("limiting_magnitude", "Limiting magnitude, half detected", "mag", sample)
 
 
-def _alarms(prediction: CameraPrediction, rendered: Rendered) -> FrameComparison:
-    counts = np.concatenate([rendered.chart.false_alarms, rendered.sky.false_alarms])
+def _compare_false_alarms(prediction: CameraPrediction, rendered: Rendered) -> FrameComparison:
+    """Detections without a star in all frames, star grid and sky."""
+    counts = np.concatenate([rendered.star_grid.false_alarms, rendered.sky.false_alarms])
     expected = prediction.value("false_alarms_per_frame")
     sample = false_alarms_against(counts, expected, prediction.config.dark_frames)
-    return compared("false_alarms", f"False alarms in {len(counts)} frames", "", sample)
+    return compare_sample("false_alarms", f"False alarms in {len(counts)} frames", "", sample)
 
 
-def _stars(prediction: CameraPrediction, rendered: Rendered) -> Iterator[FrameComparison]:
-    forecast, frames = prediction.attitude, len(rendered.sky.detected)
+def _compare_star_counts(prediction: CameraPrediction, rendered: Rendered) -> Iterator[FrameComparison]:
+    """Detected and usable stars, summed over the frames; the detections are independent Bernoulli trials."""
+    forecast = prediction.attitude
+    frames = len(rendered.sky.detected)
     variance = float(forecast.detected_variance[:frames].sum())
-    for name, label, counts, expected, unfit in (
+    for name, label, counts, expected, unusable in (
         ("stars", f"Stars detected in {frames} frames of the sky", rendered.sky.detected, forecast.detected, 0.0),
-        ("fit_stars", "Stars fit for an attitude", rendered.sky.fit, forecast.stars, UNFIT_FRACTION),
+        ("usable_stars", "Stars usable for an attitude", rendered.sky.usable, forecast.stars, UNUSABLE_FRACTION),
     ):
         predicted = float(expected[:frames].sum())
-        error = math.sqrt(variance + 1.0 + (unfit * predicted) ** 2)
+        error = math.sqrt(variance + COUNT_FLOOR + (unusable * predicted) ** 2)
         sample = MeasuredAgainst(measured=float(counts.sum()), predicted=predicted, error=error, n=frames)
-        yield compared(name, label, "", sample)
+        yield compare_sample(name, label, "", sample)
 
 
-def _attitude(prediction: CameraPrediction, rendered: Rendered) -> Iterator[FrameComparison]:
+def _compare_attitudes(prediction: CameraPrediction, rendered: Rendered) -> Iterator[FrameComparison]:
     """RMS of the errors against the RMS of the standard deviations predicted for the same attitudes."""
     error = rendered.sky.error_arcsec
     solved = np.isfinite(error).all(axis=1)
@@ -214,15 +222,15 @@ def _attitude(prediction: CameraPrediction, rendered: Rendered) -> Iterator[Fram
         if solved.any():
             sample = rms_against_sigma(error[solved][:, columns], sigma[:, columns])
             label = f"Attitude {direction}, RMS of {int(solved.sum())} frames"
-            yield compared(f"attitude_{name}", label, "arcsec", sample)
+            yield compare_sample(f"attitude_{name}", label, "arcsec", sample)
 
 
-def _comparisons(q: Quantities, compared: list[FrameComparison]) -> None:
-    keys = np.array([row.comparison for row in compared], dtype=object)
-    q.axis("comparison", keys, "Quantity", names=[row.label for row in compared])
+def _comparison_axis(q: Quantities, comparisons: list[FrameComparison]) -> None:
+    keys = np.array([row.comparison for row in comparisons], dtype=object)
+    q.axis("comparison", keys, "Quantity", names=[row.label for row in comparisons])
 
 
-def frames_drawn(outcome: Outcome) -> Figure:
+def draw_sky_frame(outcome: Outcome) -> Figure:
     """The first frame of the sky, with its detections."""
     rendered: Rendered = outcome.result["solved"].rendered
     height, width = rendered.example_e.shape
@@ -246,7 +254,7 @@ ADVICE = {"nea": "the centroider does not follow its linear response: too faint 
 FRAMES = Section(
     record=FrameComparison,
     dim="comparison",
-    axes=_comparisons,
+    axes=_comparison_axis,
     hidden="comparison",
     rows="comparison",
     columns="label measured predicted unit error n deviation_sigma",
@@ -258,7 +266,7 @@ FRAMES = Section(
             0.0,
             at={"comparison": key},
             title=title,
-            of="predicted_over_sigma",
+            of="relative_error_scale_sigma",
             advice=ADVICE.get(key, ""),
         )
         for key, title in JUDGED.items()
@@ -266,7 +274,7 @@ FRAMES = Section(
 )
 SOLVED = Section(
     record=SolvedFrames,
-    figures={"frame": frames_drawn},
+    figures={"frame": draw_sky_frame},
     verdicts=[
         ratio_near(
             "attitude_ratio",
@@ -274,6 +282,6 @@ SOLVED = Section(
             title="attitudes across and roll: errors of solved frames over predicted ones, RMS",
             advice="centroids are worse than predicted, or the camera model of the solver is not that of the lens",
         ),
-        below("frames_unsolved", 0.0, title=f"frames of the sky with {FEWEST_STARS} stars or more, not solved"),
+        below("frames_unsolved", 0.0, title=f"frames of the sky with {MIN_SOLVABLE_STARS} stars or more, not solved"),
     ],
 )

@@ -30,11 +30,19 @@ from experiments.laboratory.sensor_prediction import (
 )
 from optics.arrays import FloatArray
 from optics.figures import draw_lens, draw_spots
+from optics.rays.performance import LensPerformance
 from render.field_response import FieldResponse
 
 __all__ = ["SECTIONS", "predict", "predicted"]
 
 CURVE_POINTS = 91
+"""Magnitudes of a curve."""
+RADIUS_STEPS = 8
+"""Positions along each side of the detector, over which curves against magnitude are averaged."""
+DRAWN_FIELDS = (0, 2, 4)
+"""Rows of the traced fields (`render.sensor.FIELD_FRACTIONS`): axis, 0.7 of the half diagonal, corner."""
+DRAWN_WAVELENGTHS = (0, 2, 5)
+"""Rows of the traced wavelengths in spot diagrams."""
 
 
 # --- Description of the sensor
@@ -52,54 +60,55 @@ class SensorSummary:
     prediction: CameraPrediction
 
 
-def setup(prediction: CameraPrediction, requirements: Sequence[Requirement]) -> SensorSummary:
+def summarise_sensor(prediction: CameraPrediction, requirements: Sequence[Requirement]) -> SensorSummary:
     """Summary of the sensor."""
-    lens, chip = prediction.state.sensor.camera.lens.name, prediction.detector.name
+    lens = prediction.state.sensor.camera.lens.name
+    detector = prediction.detector.name
     return SensorSummary(
-        name=prediction.config.name or f"{lens} on {chip}",
+        name=prediction.config.name or f"{lens} on {detector}",
         lens=lens,
-        detector=chip,
+        detector=detector,
         answer=missed_words(requirements),
         requirements_missed=sum(not requirement.met for requirement in requirements),
         prediction=prediction,
     )
 
 
-def draw_section(outcome: Outcome) -> Figure:
-    """Section through the lens with fans of rays to the middle, to 70 % of the half diagonal and to the corner."""
-    state: FieldResponse = outcome.result["setup"].prediction.state
-    fields, measured = state.performance.field_deg, state.sensor.camera.lens.measured
-    if measured is not None:
+def draw_lens_section(outcome: Outcome) -> Figure:
+    """Cross-section of the lens with fans of rays to three fields; of a measured lens, light and PSF over the field."""
+    response: FieldResponse = outcome.result["setup"].prediction.state
+    performance, camera = response.performance, response.sensor.camera
+    field_deg = performance.field_deg
+    if camera.lens.measured is not None:
         figure, (light, width) = new_figure(1, 2, aspect_ratio=0.38)
-        light.plot(fields, state.performance.vignetting, "o-")
+        light.plot(field_deg, performance.vignetting, "o-")
         light.set(xlabel="Field [°]", ylabel="Light of a star, relative to the axis", ylim=(0.0, None))
-        width.plot(fields, state.performance.white.rms_mm() * 1e3, "o-")
+        width.plot(field_deg, performance.white.rms_mm() * 1e3, "o-")
         width.set(xlabel="Field [°]", ylabel="RMS radius of the PSF [µm]", ylim=(0.0, None))
         return figure
-    figure = draw_lens(state.sensor.camera.focused_lens, fields_deg=[0.0, float(fields[2]), float(fields[-1])])
+    figure = draw_lens(camera.focused_lens, fields_deg=field_deg[[*DRAWN_FIELDS]].tolist())
     figure.axes[0].set_title("")
     width, height = figure.get_size_inches()
     figure.set_size_inches(7.6, 7.6 * height / width)
     return figure
 
 
-def spots_over_field(outcome: Outcome) -> Figure:
+def draw_spots_over_field(outcome: Outcome) -> Figure:
     """Rays of the pass band at three fields, and a pixel of the detector."""
-    state: FieldResponse = outcome.result["setup"].prediction.state
-    camera, traced = state.sensor.camera, state.performance
-    angles = [(float(angle), 0.0) for angle in traced.field_deg[[0, 2, 4]]]
+    response: FieldResponse = outcome.result["setup"].prediction.state
+    camera, performance = response.sensor.camera, response.performance
+    fields_deg = [(float(angle), 0.0) for angle in performance.field_deg[[*DRAWN_FIELDS]]]
+    wavelength_nm = performance.wavelength_nm[[*DRAWN_WAVELENGTHS]].tolist()
     pixel_um = 1e3 * camera.pixel_pitch_mm
-    return draw_spots(
-        camera.focused_lens, fields_deg=angles, wavelength_nm=list(traced.wavelength_nm[[0, 2, 5]]), pixel_um=pixel_um
-    )
+    return draw_spots(camera.focused_lens, fields_deg=fields_deg, wavelength_nm=wavelength_nm, pixel_um=pixel_um)
 
 
 # --- Over the field
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Fields:
-    """Over the field: spot, focus (both over the pass band), distortion, vignetting, colour."""
+class FieldPerformance:
+    """Lens over the field: spot and focus (both polychromatic), distortion, vignetting, chromatic aberrations."""
 
     spot_um: FloatArray = col("RMS spot radius", "um", ".2f", "field")
     focus_um: FloatArray = col("Best focus", "um", ".1f", "field")
@@ -107,24 +116,24 @@ class Fields:
     vignetting_percent: FloatArray = col("Vignetting", "percent", ".1f", "field")
     lateral_colour_px: FloatArray = col("Lateral colour", "px", ".3f", "field wavelength", shown=False)
     axial_focus_um: FloatArray = col("Best focus on axis", "um", ".1f", "wavelength", shown=False)
-    performance: Any
+    performance: LensPerformance
 
 
-def fields(prediction: CameraPrediction) -> Fields:
-    """The traced performance of the lens."""
-    lens = prediction.state.performance
-    return Fields(
-        spot_um=1e3 * lens.white.rms_mm(),
-        focus_um=1e3 * lens.white.best_mm,
-        distortion_percent=100.0 * lens.distortion,
-        vignetting_percent=100.0 * (1.0 - lens.vignetting),
-        lateral_colour_px=lens.lateral_colour_mm / prediction.state.sensor.camera.pixel_pitch_mm,
-        axial_focus_um=1e3 * lens.axial_colour_mm,
-        performance=lens,
+def tabulate_fields(prediction: CameraPrediction) -> FieldPerformance:
+    """The traced performance of the lens in the units of the report."""
+    performance = prediction.state.performance
+    return FieldPerformance(
+        spot_um=1e3 * performance.white.rms_mm(),
+        focus_um=1e3 * performance.white.best_mm,
+        distortion_percent=100.0 * performance.distortion,
+        vignetting_percent=100.0 * (1.0 - performance.vignetting),
+        lateral_colour_px=performance.lateral_colour_mm / prediction.state.sensor.camera.pixel_pitch_mm,
+        axial_focus_um=1e3 * performance.axial_colour_mm,
+        performance=performance,
     )
 
 
-def field_axes(q: Quantities, fields: Fields) -> None:
+def field_axes(q: Quantities, fields: FieldPerformance) -> None:
     """Field angles and wavelengths of the trace."""
     q.axis("field", fields.performance.field_deg, "Field", unit="deg", format=".2f")
     q.axis("wavelength", fields.performance.wavelength_nm, "Wavelength", unit="nm", format=".0f")
@@ -134,7 +143,7 @@ def field_axes(q: Quantities, fields: Fields) -> None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Magnitudes:
+class MagnitudeCurves:
     """Electrons, detection and accuracy of a star against magnitude, mean over the detector; NaN where it saturates."""
 
     electrons_e: FloatArray = col("Electrons", "e-", ".0f", "colour magnitude", shown=False)
@@ -146,32 +155,36 @@ class Magnitudes:
     colours_k: Sequence[float]
 
 
-def magnitudes(prediction: CameraPrediction) -> Magnitudes:
+def sweep_magnitude(prediction: CameraPrediction) -> MagnitudeCurves:
     """Curves from above the saturation limit to one magnitude below the limiting magnitude."""
-    state, stars, config = prediction.state, prediction.stars, prediction.config
-    saturation, faintest = prediction.value("saturation_mag"), prediction.value("limiting_magnitude_mag") + 1.0
+    response, stars = prediction.state, prediction.stars
+    star = prediction.config.star
+    saturation = prediction.value("saturation_mag")
+    faintest = prediction.value("limiting_magnitude_mag") + 1.0
     magnitude = np.linspace(min(saturation - 0.5, faintest - 2.0), faintest, CURVE_POINTS)
-    fraction = (np.arange(8) + 0.5) / 8.0 - 0.5
-    camera = state.sensor.camera
-    radius = np.hypot(*np.meshgrid(fraction * camera.width_px, fraction * camera.height_px)).ravel()
-    electrons = [prediction.electrons(np.full(len(radius), m), config.star.temperature_k, radius) for m in magnitude]
+    camera = response.sensor.camera
+    fraction = (np.arange(RADIUS_STEPS) + 0.5) / RADIUS_STEPS - 0.5  # of the sides, from the centre
+    radius_px = np.hypot(*np.meshgrid(fraction * camera.width_px, fraction * camera.height_px)).ravel()
+    electrons = [prediction.electrons(np.full(len(radius_px), m), star.temperature_k, radius_px) for m in magnitude]
 
-    def curve(sigma_px: FloatArray) -> FloatArray:
-        rms = [float(np.sqrt((stars.sigma_at(sigma_px, e, radius) ** 2).mean())) for e in electrons]
-        return np.where(magnitude < saturation, np.nan, state.pixel_arcsec * np.array(rms))
+    def rms_arcsec(sigma_px: FloatArray) -> FloatArray:
+        rms = [float(np.sqrt((stars.sigma_at(sigma_px, e, radius_px) ** 2).mean())) for e in electrons]
+        return np.where(magnitude < saturation, np.nan, response.pixel_arcsec * np.array(rms))
 
-    return Magnitudes(
-        electrons_e=np.stack([prediction.electrons(magnitude, kelvin) for kelvin in config.star.colours_k]),
-        nea_arcsec=curve(stars.centroid.noise_px),
-        nea_bound_arcsec=curve(stars.centroid.bound_px),
-        single_star_arcsec=np.hypot(curve(stars.centroid.total_px), np.nan_to_num(prediction.value("colour_arcsec"))),
-        detected_fraction=np.array([float(stars.detected_at(e, radius).mean()) for e in electrons]),
+    return MagnitudeCurves(
+        electrons_e=np.stack([prediction.electrons(magnitude, colour_k) for colour_k in star.colours_k]),
+        nea_arcsec=rms_arcsec(stars.centroid.noise_px),
+        nea_bound_arcsec=rms_arcsec(stars.centroid.bound_px),
+        single_star_arcsec=np.hypot(
+            rms_arcsec(stars.centroid.total_px), np.nan_to_num(prediction.value("colour_arcsec"))
+        ),
+        detected_fraction=np.array([float(stars.detected_at(e, radius_px).mean()) for e in electrons]),
         magnitude_mag=magnitude,
-        colours_k=config.star.colours_k,
+        colours_k=star.colours_k,
     )
 
 
-def magnitude_axes(q: Quantities, magnitudes: Magnitudes) -> None:
+def magnitude_axes(q: Quantities, magnitudes: MagnitudeCurves) -> None:
     """Magnitudes and colours of the curves."""
     q.axis("magnitude", magnitudes.magnitude_mag, "Magnitude", unit="mag", format=".2f")
     q.axis("colour", np.array(magnitudes.colours_k), "Star", unit="K", format=".0f")
@@ -181,7 +194,7 @@ def magnitude_axes(q: Quantities, magnitudes: Magnitudes) -> None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Attitudes:
+class AttitudeSamples:
     """Prediction at the sampled attitudes."""
 
     samples: int = col("Attitudes")
@@ -190,10 +203,10 @@ class Attitudes:
     roll_arcsec: FloatArray = col("Attitude roll, 1σ", "arcsec", dims="attitude")
 
 
-def attitudes(prediction: CameraPrediction) -> Attitudes:
+def sample_attitudes(prediction: CameraPrediction) -> AttitudeSamples:
     """Stars and errors of every attitude; errors are infinite where too few stars are detected."""
     forecast = prediction.attitude
-    return Attitudes(
+    return AttitudeSamples(
         samples=len(forecast.stars),
         stars=forecast.stars,
         cross_arcsec=np.sqrt((forecast.total_arcsec[:, :2] ** 2).mean(axis=1)),
@@ -231,7 +244,7 @@ def temperature_axis(q: Quantities, temperatures: Temperatures) -> None:
 
 
 def swing_axes(q: Quantities, swings: Sequence[Swing]) -> None:
-    """Keys, named with their two values."""
+    """Settings of the sensitivity analysis, named with their two values."""
     pairs = [f"{swing.low:.3g} or {swing.high:.3g}".replace("-", "\N{MINUS SIGN}") for swing in swings]
     names = [f"{swing.label}, {pair} {swing.unit}".strip() for swing, pair in zip(swings, pairs, strict=True)]
     q.axis("key", np.array([swing.key for swing in swings], dtype=object), "Key", names=names)
@@ -252,18 +265,18 @@ def predicted(prediction: CameraPrediction, *records: Any) -> dict[str, Any]:
     guide_coverage = coverage(prediction)
     requirements = judge(limits(prediction.config), numbers_of(*prediction.records, guide_coverage, *records))
     return {
-        "setup": setup(prediction, requirements),
+        "setup": summarise_sensor(prediction, requirements),
         "requirements": requirements,
         **dict(zip(("optics", "accuracy", "sky"), prediction.records, strict=True)),
-        "fields": fields(prediction),
-        "magnitudes": magnitudes(prediction),
-        "attitudes": attitudes(prediction),
+        "fields": tabulate_fields(prediction),
+        "magnitudes": sweep_magnitude(prediction),
+        "attitudes": sample_attitudes(prediction),
         "coverage": guide_coverage,
     }
 
 
 SECTIONS: Mapping[str, Section] = {
-    "setup": Section(record=SensorSummary, figures={"lens": draw_section, "spots": spots_over_field}),
+    "setup": Section(record=SensorSummary, figures={"lens": draw_lens_section, "spots": draw_spots_over_field}),
     "requirements": REQUIREMENTS,
     "optics": Section(
         record=Optics, vertical=True, caption="Lens and detector, as configured."
@@ -275,12 +288,12 @@ SECTIONS: Mapping[str, Section] = {
     ),
     "sky": Section(record=SkyPerformance, vertical=True, caption="Detection, and the real sky (1σ)."),
     "fields": Section(
-        record=Fields,
+        record=FieldPerformance,
         axes=field_axes,
         caption="Over the field; spot and focus of all light of the pass band.",
     ),
     "magnitudes": Section(
-        record=Magnitudes,
+        record=MagnitudeCurves,
         axes=magnitude_axes,
         caption="Against magnitude, mean over the detector, one axis, one standard deviation.",
         figures={
@@ -295,7 +308,7 @@ SECTIONS: Mapping[str, Section] = {
             "completeness": curves("magnitude", lines="detected_fraction", aspect_ratio=0.9, width="half"),
         },
     ),
-    "attitudes": Section(record=Attitudes, figures={"sky_distributions": draw_sky}),
+    "attitudes": Section(record=AttitudeSamples, figures={"sky_distributions": draw_sky}),
     "temperatures": Section(
         record=Temperatures,
         axes=temperature_axis,

@@ -1,8 +1,9 @@
-"""Rendered frames against the prediction: an artificial chart read out many times, and frames of the real sky.
+"""Rendered frames against the prediction: a grid of artificial stars read out many times, and frames of the real sky.
 
-The chart has stars of one brightness, whose scatter over the readouts is the noise, and stars about the limiting
-magnitude, of which a fraction is detected. The sky is rendered in the first predicted attitudes; the camera is
-calibrated without error (a model fitted to its traced map), the attitude approximately known, as for a tracking sensor.
+Half of the artificial stars are bright and of equal magnitude: their scatter over the readouts is the NEA. The other
+half lie about the limiting magnitude: the detected fraction is the completeness. The sky is rendered in the first
+predicted attitudes; the camera model is fitted to the traced map of the lens (a calibration without error), and the
+attitude is known a priori to `PRIOR_SIGMA_PX`, as in tracking mode.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from calib.attitude.star_attitude import identify_stars, solve_attitude
 from calib.cameras.base import CameraModel
 from calib.cameras.fit import fit_camera
 from calib.measure.reduced_frame import FrameReduction, MeasuredFrame, measure_frame
-from experiments.camera.comparison import ChartFrames, Rendered, SkyFrames, noise_of_chart
+from experiments.camera.comparison import Rendered, SkyFrames, StarGridFrames, compare_noise
 from experiments.camera.manufacture import RANKS, Manufactured, RenderedLens
 from experiments.camera.operation import moving
 from experiments.camera.settings import CameraReportConfig
@@ -41,20 +42,30 @@ from render.records import Frame, StarField
 from render.sensor_file.instrument import build_instrument
 from render.simulator import SkySimulator
 
-MATCH_PX, MATCH_WIDTHS = 2.0, 0.6
-"""Match radius of detections and stars: the larger of 2 px and 0.6 FWHM of the detection filter."""
+MATCH_PX = 2.0
+"""Least match radius of detections and stars."""
+MATCH_WIDTHS = 0.6
+"""Match radius of detections and stars in FWHM of the detection filter, if larger than `MATCH_PX`."""
+STAR_AREA_WIDTHS = 4.0
+"""Side, in FWHM, of the square that a star covers in `CROWDED_FRACTION`."""
 CROWDED_FRACTION = 0.02
-"""Area fraction of stars (squares of 4 FWHM) above which bright and faint chart stars are read out separately."""
-CLEAR_MAG = 2.5
-"""Bright chart stars where the quoted star is too faint: brighter by this than the 90 % completeness limit."""
-FAINTER_MAG, BRIGHTER_MAG = 0.8, 1.2
-"""Range of the faint chart stars about the limiting magnitude."""
-ATTITUDE_ERROR_PX = 5.0
-"""Standard deviation per axis of the approximate attitude."""
-PSF_GRID, COARSE_PSF_GRID = 17, 9
-"""PSFs along the longer side of the detector; the coarse grid suffices for noise."""
+"""Area fraction of artificial stars above which bright and faint stars are read out in separate frames."""
+SATURATION_MARGIN_MAG = 0.3
+"""Bright artificial stars are fainter than the saturation limit by at least this."""
+COMPLETENESS_MARGIN_MAG = 0.5
+"""Bright artificial stars are brighter than the 90 % completeness limit by at least this: linear response of fits."""
+BRIGHT_STAR_MARGIN_MAG = 2.5
+"""Bright artificial stars, if the quoted star is too faint: brighter than the completeness limit by this."""
+FAINT_RANGE_MAG = (-1.2, 0.8)
+"""Range of the faint artificial stars about the limiting magnitude."""
+PRIOR_SIGMA_PX = 5.0
+"""Standard deviation per axis of the a-priori attitude."""
+PSF_GRID = 17
+"""PSFs along the longer side of the detector, for attitudes."""
+COARSE_PSF_GRID = 9
+"""PSFs along the longer side of the detector; suffices for noise."""
 SLEW_FRACTION = 0.5
-"""Slew rate of the chart in motion, as a fraction of the rate at which trails fill the window."""
+"""Slew rate of the star grid in motion, as a fraction of the rate at which trails fill the window."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,7 +76,7 @@ class _CatalogueStars:
     direction: FloatArray
 
 
-class _Bench:
+class _FrameChain:
     """Simulator and reduction of all frames of a camera."""
 
     def __init__(
@@ -90,14 +101,15 @@ class _Bench:
             seed=self.streams,
             tolerance=1e-4,
         )
-        self.pose = _pose(config)
-        kelvin, processing = config.star.temperature_k, prediction.processing
+        self.camera_attitude = _camera_attitude(config)
+        temperature_k = config.star.temperature_k
+        processing = prediction.processing
         psfs = None
         if needs_epsf(config.centroid):
             psfs = render_psf_grid(
                 sensor,
                 prediction.state.light,
-                temperature_k=kelvin,
+                temperature_k=temperature_k,
                 window_px=config.window_px,
                 trail_px=prediction.state.trail_px,
                 axes=inset_axes(sensor.camera, long_side),
@@ -115,17 +127,19 @@ class _Bench:
             psfs=psfs,
             background_step_px=1,
         )
-        self.model: CameraModel = fit_camera(sensor.pixel_map(prediction.state.band, temperature_k=kelvin)).camera
+        self.model: CameraModel = fit_camera(
+            sensor.pixel_map(prediction.state.band, temperature_k=temperature_k)
+        ).camera
 
     def expected(self, stars: StarField) -> tuple[SkyLight, FloatArray, FloatArray]:
-        """Expected image of stars in cam; position (n, 2) and electrons (n,) of each, also beyond the frame."""
-        light = self.simulator.expected(self.pose, stars=stars)
+        """Expected image of stars in the camera frame; photocentres (n, 2), electrons (n,), also outside it."""
+        light = self.simulator.expected(self.camera_attitude, stars=stars)
         truth = light.truth
         position_px = np.column_stack([truth.photon_x_px[:, 0], truth.photon_y_px[:, 0]])
         assert truth.electrons_beyond is not None
         return light, position_px, (truth.electrons_image + truth.electrons_beyond)[:, 0]
 
-    def measured(self, frames: Sequence[Frame]) -> list[MeasuredFrame]:
+    def measure(self, frames: Sequence[Frame]) -> list[MeasuredFrame]:
         return shared(partial(measure_frame, reduction=self.reduction), frames)
 
 
@@ -134,8 +148,8 @@ def _batches(count: int) -> Iterator[range]:
     return (range(first, min(first + processors(), count)) for first in range(0, count, processors()))
 
 
-def _pose(config: CameraReportConfig) -> Rotation | ConstantRate:
-    """Attitude of cam during the exposure, about its middle."""
+def _camera_attitude(config: CameraReportConfig) -> Rotation | ConstantRate:
+    """Attitude during the exposure, relative to the camera frame at mid-exposure."""
     if not config.slew.rate_deg_per_s:
         return Rotation.identity()
     exposure_s = config.instrument.exposure_s
@@ -145,40 +159,48 @@ def _pose(config: CameraReportConfig) -> Rotation | ConstantRate:
 
 
 def render_frames(prediction: CameraPrediction, *, advance: Callable[[], None] = lambda: None) -> Rendered:
-    """Render, read out and measure the chart and the sky."""
-    bench = _Bench(prediction)
-    chart = _chart(bench, advance)
-    slewing = _slewing_chart(prediction, bench.reduction.dark_dn, advance)
-    detected, fit, alarms, errors = [], [], [], []
-    example: tuple[NDArray[np.float32], FloatArray] | None = None
-    for frames in _batches(prediction.config.frames.sky):
-        rendered = [_sky_frame(bench, number) for number in frames]
-        measurements = bench.measured([frame for _, frame, _ in rendered])
+    """Render, read out and measure the star grid and the sky."""
+    chain = _FrameChain(prediction)
+    star_grid = _render_star_grid(chain, advance)
+    slewing = _render_slewing_grid(prediction, chain.reduction.dark_dn, advance)
+    sky, example_e, example_px = _render_sky(chain, advance)
+    return Rendered(star_grid=star_grid, slewing=slewing, sky=sky, example_e=example_e, example_px=example_px)
+
+
+def _render_sky(chain: _FrameChain, advance: Callable[[], None]) -> tuple[SkyFrames, NDArray[np.float32], FloatArray]:
+    """Frames of the sky; electrons (h, w) above the dark and centroids (n, 2) of the first."""
+    config = chain.prediction.config
+    detected: list[int] = []
+    usable: list[int] = []
+    false_alarms: list[int] = []
+    errors: list[FloatArray] = []
+    for frames in _batches(config.frames.sky):
+        rendered = [_sky_frame(chain, number) for number in frames]
+        measurements = chain.measure([frame for _, frame, _ in rendered])
         for number, (visible, frame, position_px), measured in zip(frames, rendered, measurements, strict=True):
-            partner, false = measured.matched(position_px, prediction.config.window_px, bench.match_px)
-            detections = partner[partner >= 0]
-            detected.append(len(detections))
-            fit.append(int(np.count_nonzero(measured.fit[detections])))
-            alarms.append(false)
-            errors.append(_attitude_error(bench, measured, number, visible))
-            if example is None:
-                light = (frame.dn - bench.reduction.dark_dn) / np.float32(frame.gain_dn_per_e)
-                example = (light, measured.stars.pixel_px)
+            detection, false = measured.matched(position_px, config.window_px, chain.match_px)
+            detection = detection[detection >= 0]
+            detected.append(len(detection))
+            usable.append(int(np.count_nonzero(measured.fit[detection])))
+            false_alarms.append(false)
+            errors.append(_attitude_error(chain, measured, number, visible))
+            if number == 0:
+                example_e = (frame.dn - chain.reduction.dark_dn) / np.float32(frame.gain_dn_per_e)
+                example_px = measured.stars.pixel_px
             advance()
-    assert example is not None
     sky = SkyFrames(
         detected=np.array(detected, np.int64),
-        fit=np.array(fit, np.int64),
-        false_alarms=np.array(alarms, np.int64),
+        usable=np.array(usable, np.int64),
+        false_alarms=np.array(false_alarms, np.int64),
         error_arcsec=np.array(errors),
     )
-    return Rendered(chart=chart, slewing=slewing, sky=sky, example_e=example[0], example_px=example[1])
+    return sky, example_e, example_px
 
 
-def _slewing_chart(
+def _render_slewing_grid(
     prediction: CameraPrediction, dark_dn: NDArray[np.float32], advance: Callable[[], None]
-) -> tuple[CameraPrediction, ChartFrames] | None:
-    """Chart at `SLEW_FRACTION` of the slew rate at which trails fill the window; None without motion."""
+) -> tuple[CameraPrediction, StarGridFrames] | None:
+    """Star grid at `SLEW_FRACTION` of the slew rate at which trails fill the window; None without motion."""
     config = prediction.config
     if not config.motion.points or config.slew.rate_deg_per_s or config.instrument.line_time_us:
         return None
@@ -186,17 +208,19 @@ def _slewing_chart(
         slewing = predict_camera(moving(config, SLEW_FRACTION))
     except StarbenchError:
         return None
-    return slewing, _chart(_Bench(slewing, long_side=COARSE_PSF_GRID, dark_dn=dark_dn), advance)
+    return slewing, _render_star_grid(_FrameChain(slewing, long_side=COARSE_PSF_GRID, dark_dn=dark_dn), advance)
 
 
 def rendered_lenses(
     prediction: CameraPrediction, lenses: Manufactured, *, advance: Callable[[], None] = lambda: None
 ) -> list[RenderedLens]:
-    """Chart through three drawn lenses; the centroider has the PSFs of the drawn lens."""
-    rendered, dark_dn = [], None
+    """Star grid through three sampled lenses; the centroider has the PSFs of the sampled lens."""
+    rendered: list[RenderedLens] = []
+    dark_dn = None
     for rank, (lens, ratio) in zip(RANKS, lenses.ranked, strict=True):
-        bench = _Bench(prediction, lens, long_side=COARSE_PSF_GRID, dark_dn=dark_dn)
-        nea, dark_dn = noise_of_chart(prediction, _chart(bench, advance)), bench.reduction.dark_dn
+        chain = _FrameChain(prediction, lens, long_side=COARSE_PSF_GRID, dark_dn=dark_dn)
+        dark_dn = chain.reduction.dark_dn
+        nea = compare_noise(prediction, _render_star_grid(chain, advance))
         measured = Measured(value=nea.measured, unit=nea.unit, uncertainty=ratio * nea.error, n=nea.n)
         rendered.append(
             RenderedLens(rank_percent=100.0 * rank, measured_arcsec=measured, predicted_arcsec=ratio * nea.predicted)
@@ -204,91 +228,118 @@ def rendered_lenses(
     return rendered
 
 
-def _chart(bench: _Bench, advance: Callable[[], None]) -> ChartFrames:
-    prediction, sensor = bench.prediction, bench.simulator.sensor
-    camera = sensor.camera
-    config, rng = prediction.config, bench.streams.generator("chart")
-    limit = prediction.value("limiting_magnitude_mag")
-    brightest, complete = prediction.value("saturation_mag") + 0.3, prediction.value("complete_magnitude_mag")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _GridStars:
+    """n artificial stars."""
+
+    bright_mag: float
+    faint: NDArray[np.bool_]  # (n,)
+    position_px: FloatArray  # (n, 2) Chief rays
+    magnitude: FloatArray  # (n,)
+
+
+def _choose_grid_stars(chain: _FrameChain) -> _GridStars:
+    """Half bright stars of equal magnitude for the NEA, half about the limiting magnitude for the completeness."""
+    prediction = chain.prediction
+    config = prediction.config
+    camera = chain.simulator.sensor.camera
+    rng = chain.streams.generator("chart")
+    brightest = prediction.value("saturation_mag") + SATURATION_MARGIN_MAG
+    complete = prediction.value("complete_magnitude_mag")
     bright = max(config.star.magnitude_mag, brightest)
-    if bright > complete - 0.5:  # the linear response of a fit holds only for stars well above the limit
-        bright = min(max(complete - CLEAR_MAG, brightest), complete - 0.5)
-    position_px = _scattered(camera.width_px, camera.height_px, config.frames.chart_stars, config.window_px, rng)
-    count = len(position_px)
-    magnitude = np.full(count, bright)
-    faint = np.arange(count) % 2 == 1
-    magnitude[faint] = limit + rng.uniform(-BRIGHTER_MAG, FAINTER_MAG, np.count_nonzero(faint))
-    direction = sensor.direction_at(*position_px.T)
-    # light of bright stars with wide spots raises the noise estimate of the background: separate frames
-    area_fraction = count * (4.0 * prediction.processing.fwhm_px) ** 2 / (camera.width_px * camera.height_px)
-    crowded = area_fraction > CROWDED_FRACTION
-    groups = [np.flatnonzero(~faint), np.flatnonzero(faint)] if crowded else [np.arange(count)]
-    light_px, electrons, lights = np.empty_like(position_px), np.empty(count), []
+    if bright > complete - COMPLETENESS_MARGIN_MAG:
+        bright = min(max(complete - BRIGHT_STAR_MARGIN_MAG, brightest), complete - COMPLETENESS_MARGIN_MAG)
+    position_px = _jittered_grid(camera.width_px, camera.height_px, config.frames.chart_stars, config.window_px, rng)
+    faint = np.arange(len(position_px)) % 2 == 1
+    magnitude = np.full(len(position_px), bright)
+    limit = prediction.value("limiting_magnitude_mag")
+    magnitude[faint] = limit + rng.uniform(*FAINT_RANGE_MAG, np.count_nonzero(faint))
+    return _GridStars(bright_mag=bright, faint=faint, position_px=position_px, magnitude=magnitude)
+
+
+def _render_star_grid(chain: _FrameChain, advance: Callable[[], None]) -> StarGridFrames:
+    """Render the artificial stars once, read them out repeatedly, and match the detections."""
+    prediction, config = chain.prediction, chain.prediction.config
+    camera = chain.simulator.sensor.camera
+    stars = _choose_grid_stars(chain)
+    count = len(stars.magnitude)
+    direction = chain.simulator.sensor.direction_at(*stars.position_px.T)
+    # wings of bright stars raise the noise estimate of the background about faint ones: separate frames
+    star_area_px2 = (STAR_AREA_WIDTHS * prediction.processing.fwhm_px) ** 2
+    crowded = count * star_area_px2 / (camera.width_px * camera.height_px) > CROWDED_FRACTION
+    groups = [np.flatnonzero(~stars.faint), np.flatnonzero(stars.faint)] if crowded else [np.arange(count)]
+    images: list[SkyLight] = []
+    photocentre_px = np.empty((count, 2))
+    electrons = np.empty(count)
     for group in groups:
-        stars = prediction.state.light.stars(direction[group], magnitude[group], config.star.temperature_k)
-        light, light_px[group], electrons[group] = bench.expected(stars)
-        lights.append(light)
-    readouts, alarms = config.frames.readouts, []
-    detected, errors = np.zeros((readouts, count), bool), np.full((readouts, count, 2), np.nan)
-    for frames in _batches(readouts * len(groups)):
-        read = [bench.simulator.read(lights[n % len(groups)], frame=n, label="chart") for n in frames]
-        for number, measured in zip(frames, bench.measured(read), strict=True):
-            group, readout = groups[number % len(groups)], number // len(groups)
-            partner, false = measured.matched(light_px[group], config.window_px, bench.match_px)
-            matched = partner >= 0
-            error_px = measured.stars.pixel_px[partner[matched]] - light_px[group][matched]
+        field = prediction.state.light.stars(direction[group], stars.magnitude[group], config.star.temperature_k)
+        image, photocentre_px[group], electrons[group] = chain.expected(field)
+        images.append(image)
+    readouts = config.frames.readouts
+    detected = np.zeros((readouts, count), bool)
+    errors_px = np.full((readouts, count, 2), np.nan)
+    false_alarms = []
+    for frames in _batches(readouts * len(groups)):  # the groups alternate
+        read = [chain.simulator.read(images[number % len(groups)], frame=number, label="chart") for number in frames]
+        for number, measured in zip(frames, chain.measure(read), strict=True):
+            readout, group_number = divmod(number, len(groups))
+            group = groups[group_number]
+            detection, false = measured.matched(photocentre_px[group], config.window_px, chain.match_px)
+            matched = detection >= 0
+            error_px = measured.stars.pixel_px[detection[matched]] - photocentre_px[group][matched]
             detected[readout, group] = matched
-            errors[readout, group[matched]] = np.where(measured.fit[partner[matched], None], error_px, np.nan)
-            alarms.append(false)
-            if number % len(groups) == 0:
+            errors_px[readout, group[matched]] = np.where(measured.fit[detection[matched], None], error_px, np.nan)
+            false_alarms.append(false)
+            if group_number == 0:
                 advance()
-    return ChartFrames(
-        bright_mag=bright,
-        magnitude=magnitude,
-        radius_px=np.hypot(*(light_px - camera.centre_px).T),
+    return StarGridFrames(
+        bright_mag=stars.bright_mag,
+        magnitude=stars.magnitude,
+        radius_px=np.hypot(*(photocentre_px - camera.centre_px).T),
         electrons=electrons,
         detected=detected,
-        error_px=errors,
-        false_alarms=np.array(alarms, np.int64),
+        error_px=errors_px,
+        false_alarms=np.array(false_alarms, np.int64),
     )
 
 
-def _scattered(width: int, height: int, count: int, window_px: int, rng: np.random.Generator) -> FloatArray:
+def _jittered_grid(width: int, height: int, count: int, window_px: int, rng: np.random.Generator) -> FloatArray:
     """Positions (n, 2), at most about ``count``, jittered in a grid: two windows between stars, one to the edge."""
     cell_px = 3.0 * window_px
     columns = max(1, int(min(np.sqrt(count * width / height), width // cell_px)))
     rows = max(1, int(min(np.ceil(count / columns), height // cell_px)))
     cell = np.array([width / columns, height / rows])
     x, y = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
-    middle = np.column_stack([x.ravel(), y.ravel()]) * cell - 0.5
-    return np.asarray(middle + rng.uniform(-0.5, 0.5, middle.shape) * (cell - 2.0 * window_px))
+    centre = np.column_stack([x.ravel(), y.ravel()]) * cell - 0.5
+    return np.asarray(centre + rng.uniform(-0.5, 0.5, centre.shape) * (cell - 2.0 * window_px))
 
 
-def _sky_frame(bench: _Bench, number: int) -> tuple[NDArray[np.bool_], Frame, FloatArray]:
+def _sky_frame(chain: _FrameChain, number: int) -> tuple[NDArray[np.bool_], Frame, FloatArray]:
     """Rows of the predicted stars in a frame, the frame, and the positions (n, 2) of the stars."""
-    view = bench.prediction.view
+    view = chain.prediction.view
     visible = view.sample.frame == number
-    stars = bench.prediction.state.light.stars(
+    stars = chain.prediction.state.light.stars(
         view.sample.direction[visible], view.magnitude[visible], view.temperature_k[visible]
     )
-    light, position_px, _ = bench.expected(stars)
-    return visible, bench.simulator.read(light, frame=number, label="sky"), position_px
+    light, position_px, _ = chain.expected(stars)
+    return visible, chain.simulator.read(light, frame=number, label="sky"), position_px
 
 
-def _attitude_error(bench: _Bench, measured: MeasuredFrame, number: int, visible: NDArray[np.bool_]) -> FloatArray:
-    view = bench.prediction.view
+def _attitude_error(chain: _FrameChain, measured: MeasuredFrame, number: int, visible: NDArray[np.bool_]) -> FloatArray:
+    """Error (3,) of the attitude of a frame of the sky, its stars identified from the a-priori attitude; NaN: none."""
+    view = chain.prediction.view
     truth = view.attitudes[number]
     direction = truth.inv().apply(np.array(view.sample.direction[visible]))
     catalogue = _CatalogueStars(id=view.sample.row[visible], direction=direction)
-    pixel_rad = np.radians(bench.prediction.state.pixel_arcsec / 3600.0)
-    rng = bench.streams.generator("rough", number)
-    rough = Rotation.from_rotvec(ATTITUDE_ERROR_PX * pixel_rad * rng.standard_normal(3)) * truth
-    matches = identify_stars(measured.stars, bench.model, catalogue, near=rough, radius_px=4.0 * ATTITUDE_ERROR_PX)
-    solved = solve_attitude(measured.stars, matches, bench.model, catalogue)
+    pixel_rad = np.radians(chain.prediction.state.pixel_arcsec / 3600.0)
+    rng = chain.streams.generator("rough", number)
+    prior = Rotation.from_rotvec(PRIOR_SIGMA_PX * pixel_rad * rng.standard_normal(3)) * truth
+    matches = identify_stars(measured.stars, chain.model, catalogue, near=prior, radius_px=4.0 * PRIOR_SIGMA_PX)
+    solved = solve_attitude(measured.stars, matches, chain.model, catalogue)
     if not solved.ok:
         return np.full(3, np.nan)
-    # the solution of the sensor, weighted by the predicted errors of its stars
-    v_cam = bench.model.unproject(measured.stars.pixel_px[solved.detected])
-    sigma_rad = pixel_rad * bench.prediction.attitude.sigma_px[visible][solved.catalogue]
-    weighted = solve_wahba(v_cam, direction[solved.catalogue], sigma_rad=sigma_rad)
+    # Wahba's problem again, weighted by the predicted errors of the stars as a sensor does
+    direction_cam = chain.model.unproject(measured.stars.pixel_px[solved.detected])
+    sigma_rad = pixel_rad * chain.prediction.attitude.sigma_px[visible][solved.catalogue]
+    weighted = solve_wahba(direction_cam, direction[solved.catalogue], sigma_rad=sigma_rad)
     return attitude_error_arcsec(weighted.rotation, truth)

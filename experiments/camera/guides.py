@@ -9,14 +9,17 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from calib.accuracy.attitude_forecast import draw_star_list, whole_windows
 from calib.attitude.identify import identify
 from calib.attitude.star_attitude import star_patterns
+from calib.cameras.base import CameraModel
 from calib.cameras.fit import fit_camera
 from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, col
@@ -30,9 +33,13 @@ from render.sensor_file.catalogue import load_catalogue
 
 GUIDE_COUNTS = (2, 3, 4, 5, 6, 8, 10, 15, 20)
 PATTERN_STARS = 4
-WRONG_PX, WRONG_SIGMA = 3.0, 10.0
-"""An attitude error above both limits is a wrong identification."""
-NARROWEST_DEG = 2.0
+"""Stars of a pattern of tetra3rs."""
+MISIDENTIFICATION_PX = 3.0
+"""Cross-boresight error of a wrong identification, at least."""
+MISIDENTIFICATION_SIGMA = 10.0
+"""Cross-boresight error of a wrong identification in predicted standard deviations, at least."""
+MIN_FIELD_DEG = 2.0
+"""Diagonal of the narrowest field for patterns of the whole sky."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,7 +50,7 @@ class Coverage:
     guide_faintest_mag: float = col("Guide stars to", "mag", ".2f")
     guide_stars_mean_per_frame: float = col("Guide stars per frame, mean over the sky", "", ".1f")
     sky_coverage_percent: float = col(f"Sky with {PATTERN_STARS} guide stars or more", "percent", ".2f")
-    sky_percent: FloatArray = col("Fraction of the sky", "percent", ".2f", "least")
+    sky_percent: FloatArray = col("Fraction of the sky", "percent", ".2f", "min_guide_stars")
 
 
 def coverage(prediction: CameraPrediction) -> Coverage:
@@ -60,7 +67,8 @@ def coverage(prediction: CameraPrediction) -> Coverage:
         guides = np.empty(0, np.int64)
     guide = inside & np.isin(view.sample.row, guides)
     count = view.sample.summed(guide.astype(float))
-    sky_percent = [100.0 * float(np.mean(count > least - 0.5)) for least in GUIDE_COUNTS]
+    # the counts are sums of floats: compared half a star below the integer
+    sky_percent = [100.0 * float(np.mean(count > minimum - 0.5)) for minimum in GUIDE_COUNTS]
     return Coverage(
         guide_brightest_mag=brightest,
         guide_faintest_mag=faintest,
@@ -72,62 +80,41 @@ def coverage(prediction: CameraPrediction) -> Coverage:
 
 def _guide_count_axis(q: Quantities, coverage: Coverage) -> None:
     del coverage
-    q.axis("least", np.array(GUIDE_COUNTS), "Guide stars, at least")
+    q.axis("min_guide_stars", np.array(GUIDE_COUNTS), "Guide stars, at least")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LostInSpace:
-    """Identification of drawn star lists without a prior attitude."""
+    """Identification of simulated star lists without a prior attitude."""
 
     attitudes: int = col("Attitudes identified lost in space")
     lost_success_percent: float = col("Lost in space: identified", "percent", ".1f", default=math.nan)
     success_fraction: Measured | None = col("Fraction of attitudes identified", default=None)
     wrong_percent: float = col("Lost in space: wrongly identified", "percent", ".2f", default=math.nan)
     identification_time_s: float = col("Identification on this machine, median", "s", ".2g", default=math.nan)
-    refusal: str = col("Reason for no identification", default="")
+    reason_skipped: str = col("Reason for no identification", default="")
 
 
 def lost_in_space(prediction: CameraPrediction, *, advance: Callable[[], None] = lambda: None) -> LostInSpace | None:
-    """Draw and identify; None without attitudes."""
-    config, state, view = prediction.config, prediction.state, prediction.view
-    count = min(config.lost.attitudes, view.sample.frames)
+    """Simulate star lists and identify them; None without attitudes."""
+    count = min(prediction.config.lost.attitudes, prediction.view.sample.frames)
     if not count:
         return None
     try:
-        if prediction.value("field_diagonal_deg") < NARROWEST_DEG:
-            return LostInSpace(
-                attitudes=0,
-                refusal=f"fields below {NARROWEST_DEG:g} deg are too narrow for patterns of the whole sky",
-            )
-        model = fit_camera(state.sensor.pixel_map(state.band, temperature_k=config.star.temperature_k)).camera
-        patterns = star_patterns(model)
-    except StarbenchError as error:  # such as tetra3rs, which is an extra
-        return LostInSpace(attitudes=0, refusal=str(error).splitlines()[0])
-    streams, forecast = Streams(config.seed).child("camera"), prediction.attitude
-    electrons = state.electrons_per_s(view.magnitude, view.temperature_k, view.radius_px)
-    size, correct, wrong, times_s = (model.geometry.width_px, model.geometry.height_px), 0, 0, []
-    order = np.argsort(view.sample.frame, kind="stable")
-    ends = np.searchsorted(view.sample.frame[order], np.arange(count + 1))
-    for number in range(count):
-        rows = order[ends[number] : ends[number + 1]]
-        position_px, flux = draw_star_list(
-            model.project(view.sample.direction[rows]),
-            electrons[rows],
-            forecast.sigma_px[rows],
-            forecast.chance[rows],
-            false_alarms=prediction.value("false_alarms_per_frame"),
-            size_px=size,
-            rng=streams.generator("lost", number),
-        )
+        model, patterns = _camera_and_patterns(prediction)
+    except StarbenchError as error:  # a field too narrow, or tetra3rs, an extra, not installed
+        return LostInSpace(attitudes=0, reason_skipped=str(error).splitlines()[0])
+    correct, wrong = 0, 0
+    times_s: list[float] = []
+    for number, (position_px, flux) in enumerate(_simulated_star_lists(prediction, model, count)):
         start = time.perf_counter()
         identification = identify(position_px, model, patterns, flux=flux)
         times_s.append(time.perf_counter() - start)
         solution = identification.attitude
         if identification.ok and solution is not None and solution.rotation is not None:
-            across = math.hypot(*attitude_error_arcsec(solution.rotation, view.attitudes[number])[:2])
-            sigma = math.hypot(*forecast.total_arcsec[number, :2])
-            allowed = max(WRONG_PX * state.pixel_arcsec, WRONG_SIGMA * sigma if math.isfinite(sigma) else 0.0)
-            correct, wrong = correct + (across <= allowed), wrong + (across > allowed)
+            misidentified = _is_misidentified(prediction, number, solution.rotation)
+            correct += not misidentified
+            wrong += misidentified
         advance()
     return LostInSpace(
         attitudes=count,
@@ -138,8 +125,48 @@ def lost_in_space(prediction: CameraPrediction, *, advance: Callable[[], None] =
     )
 
 
+def _camera_and_patterns(prediction: CameraPrediction) -> tuple[CameraModel, Any]:
+    """The camera of the solver, and the patterns of tetra3rs for its field."""
+    if prediction.value("field_diagonal_deg") < MIN_FIELD_DEG:
+        raise DomainError(f"fields below {MIN_FIELD_DEG:g} deg are too narrow for patterns of the whole sky")
+    state = prediction.state
+    pixel_map = state.sensor.pixel_map(state.band, temperature_k=prediction.config.star.temperature_k)
+    model = fit_camera(pixel_map).camera
+    return model, star_patterns(model)
+
+
+def _simulated_star_lists(
+    prediction: CameraPrediction, model: CameraModel, count: int
+) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Centroids (n, 2) [px] and electrons (n,) of detected stars and false alarms in the first attitudes."""
+    view, forecast = prediction.view, prediction.attitude
+    streams = Streams(prediction.config.seed).child("camera")
+    electrons = prediction.state.electrons_per_s(view.magnitude, view.temperature_k, view.radius_px)
+    by_frame = np.argsort(view.sample.frame, kind="stable")
+    starts = np.searchsorted(view.sample.frame[by_frame], np.arange(count + 1))
+    for number in range(count):
+        rows = by_frame[starts[number] : starts[number + 1]]
+        yield draw_star_list(
+            model.project(view.sample.direction[rows]),
+            electrons[rows],
+            forecast.sigma_px[rows],
+            forecast.chance[rows],
+            false_alarms=prediction.value("false_alarms_per_frame"),
+            size_px=(model.geometry.width_px, model.geometry.height_px),
+            rng=streams.generator("lost", number),
+        )
+
+
+def _is_misidentified(prediction: CameraPrediction, number: int, attitude: Rotation) -> bool:
+    """Whether the cross-boresight error is above `MISIDENTIFICATION_PX` and `MISIDENTIFICATION_SIGMA`."""
+    error_arcsec = math.hypot(*attitude_error_arcsec(attitude, prediction.view.attitudes[number])[:2])
+    sigma_arcsec = math.hypot(*prediction.attitude.total_arcsec[number, :2])  # infinite with too few stars
+    by_sigma_arcsec = MISIDENTIFICATION_SIGMA * sigma_arcsec if math.isfinite(sigma_arcsec) else 0.0
+    return error_arcsec > max(MISIDENTIFICATION_PX * prediction.state.pixel_arcsec, by_sigma_arcsec)
+
+
 def fraction_measured(successes: int, count: int) -> Measured:
-    """Fraction with its binomial standard error; p (1 - p) is at least 1 / n."""
+    """Fraction with its binomial standard error; p (1 - p) >= 1 / n, or none of n would have no error."""
     p = successes / count
     return Measured(value=p, uncertainty=math.sqrt(max(p * (1 - p), 1 / count) / count), n=count)
 
@@ -147,7 +174,7 @@ def fraction_measured(successes: int, count: int) -> Measured:
 COVERAGE = Section(
     record=Coverage,
     axes=_guide_count_axis,
-    rows="least",
+    rows="min_guide_stars",
     columns="sky_percent",
     caption="Fraction of the sky with at least this number of guide stars in the field.",
 )

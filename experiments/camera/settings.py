@@ -37,14 +37,14 @@ class TemperatureRangeConfig(StrictModel):
         return self
 
 
-class LostConfig(StrictModel):
+class LostInSpaceConfig(StrictModel):
     """Lost-in-space identification of simulated star lists."""
 
     attitudes: int = Field(default=200, ge=0, le=10_000, description="number of attitudes taken from [sky]")
 
 
-class ChartFramesConfig(StrictModel):
-    """Rendered frames that confirm the prediction."""
+class RenderedFramesConfig(StrictModel):
+    """Rendered frames that check the prediction: the real sky, and a grid of artificial stars."""
 
     sky: int = Field(default=8, ge=2, le=1000, description="frames of the real sky, in random attitudes")
     chart_stars: int = Field(default=300, ge=40, le=20000, description="artificial stars spread over the detector")
@@ -66,7 +66,7 @@ Parameter = Literal[
 
 
 class TornadoConfig(StrictModel):
-    """Keys changed to find the most effective design change, and the size of each change."""
+    """Sensitivity analysis: settings changed singly to rank design changes, and the size of each change."""
 
     parameters: tuple[Parameter, ...] = Field(
         default=typing.get_args(Parameter), description="keys that are varied; empty: no chart"
@@ -98,8 +98,8 @@ class CameraReportConfig(SweptConfig, PredictedSensorConfig):
 
     motion: SlewRatesConfig = SlewRatesConfig()
     thermal: TemperatureRangeConfig = TemperatureRangeConfig()
-    lost: LostConfig = LostConfig()
-    frames: ChartFramesConfig = ChartFramesConfig()
+    lost: LostInSpaceConfig = LostInSpaceConfig()
+    frames: RenderedFramesConfig = RenderedFramesConfig()
     tornado: TornadoConfig = TornadoConfig()
     predict_only: bool = Field(default=False, description="predict only, without rendered frames")
 

@@ -192,7 +192,7 @@ def _record_set(name: str, text: str, columns: Sequence[FileColumn], source: dic
             "@type": "cr:Field",
             "@id": f"{name}/{column.name}",
             "name": column.name,
-            "description": f"{column.about} [{column.unit}]" if column.unit else column.about,
+            "description": f"{column.description} [{column.unit}]" if column.unit else column.description,
             "dataType": _TYPES[column.type],
             "source": {**source, "extract": {"column": column.name}},
         }

@@ -338,18 +338,18 @@ def mean_of(values: NDArray[np.bool_], selected: NDArray[np.bool_]) -> float:
 
 def flag_groups(stars: MatchedStars) -> list[FlagGroup]:
     """Detection of the flagged stars, by flag."""
-    groups = {name: (about, stars.has(name)) for name, (_, about) in FLAGS.items()}
+    groups = {name: (meaning, stars.has(name)) for name, (_, meaning) in FLAGS.items()}
     groups = {name: group for name, group in groups.items() if group[1].any()} | {"none": ("undisturbed", stars.clean)}
     return [
         FlagGroup(
             flag=name,
-            meaning=about,
+            meaning=meaning,
             stars=int(members.sum()),
             share_found=mean_of(stars.matched, members),
             share_fit=mean_of(stars.fit, members),
             share_blend=mean_of(stars.blend_flagged, members & stars.matched),
         )
-        for name, (about, members) in groups.items()
+        for name, (meaning, members) in groups.items()
     ]
 
 

@@ -88,7 +88,7 @@ class FrameMaker:
             frame=frame,
             band=light.band,
             blur_px=scene.instrument.camera.blur_px,
-            empty_e2=float(scene.instrument.pixel_noise().temporal_e2(sky_e)),
+            background_e2=float(scene.instrument.pixel_noise().temporal_e2(sky_e)),
             bits=pixel_flags(read.saturated, read.defect, cosmic_rays),
             smear_px=self._smear_px(sources, plan, light),
             axial_transmission=simulator.axial_transmission,

@@ -1,4 +1,7 @@
-"""Objects of a frame other than stars: disks of the Moon and the planets, hot pixels, tracks of cosmic rays."""
+"""Objects of a frame other than stars: disks of the Moon and the planets, hot pixels, tracks of cosmic rays.
+
+Stars and planets smaller than a pixel are point sources: labelled from the rows of the truth (`exports`).
+"""
 
 from __future__ import annotations
 
@@ -30,6 +33,7 @@ CLASSES: dict[str, str] = {
     "cosmic_ray": "neighbouring pixels in which cosmic rays left at least an electron each",
 }
 HOT_SIGMA = 5.0
+"""Dark charge of a hot pixel, in standard deviations of the temporal noise of a dark pixel."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,11 +41,11 @@ class Label:
     """An object in a frame."""
 
     kind: Class  # One of `CLASSES`
-    name: str = ""  # Of a body of the solar system
-    x_px: float  # Centre (column, row), 0 at the centre of the first pixel
-    y_px: float
+    name: str = ""  # Name of a body of the solar system
+    x_px: float  # Column of the centre, 0 at the centre of the first pixel
+    y_px: float  # Row of the centre
     box_px: tuple[float, float, float, float]  # Left, top, width, height, from the outer corner of the first pixel
-    pixels: IntArray  # (2, n) Rows and columns of its pixels
+    pixels: IntArray  # (2, n) Rows and columns of the object's pixels
     electrons: float = float("nan")  # Mean dark charge of a hot pixel, charge of a track; NaN for a body
 
 
@@ -105,12 +109,12 @@ def body_labels(scene: DatasetScene, plan: FramePlan) -> list[Label]:
     if disks is None or not len(disks):
         return []
     camera = scene.instrument.camera
-    v_cam = disks.direction @ plan.attitude.as_matrix().T
-    ahead = np.flatnonzero(v_cam[:, 2] > 0.0)
-    centre_px = scene.simulator.pixel_px(v_cam[ahead]).tolist()
-    radius_px = 0.5 * disks.angular_diameter_rad[ahead] / (scene.instrument.pixel_arcsec * ARCSEC_RAD)
+    direction_cam = disks.direction @ plan.attitude.as_matrix().T
+    in_front = np.flatnonzero(direction_cam[:, 2] > 0.0)
+    centre_px = scene.simulator.pixel_px(direction_cam[in_front]).tolist()
+    radius_px = 0.5 * disks.angular_diameter_rad[in_front] / (scene.instrument.pixel_arcsec * ARCSEC_RAD)
     labels = []
-    for name, (x, y), r in zip(np.asarray(disks.name)[ahead].tolist(), centre_px, radius_px.tolist(), strict=True):
+    for name, (x, y), r in zip(np.asarray(disks.name)[in_front].tolist(), centre_px, radius_px.tolist(), strict=True):
         left, right = np.clip([x + 0.5 - r, x + 0.5 + r], 0.0, camera.width_px).tolist()
         top, bottom = np.clip([y + 0.5 - r, y + 0.5 + r], 0.0, camera.height_px).tolist()
         if right > left and bottom > top:  # not for NaN
@@ -123,27 +127,30 @@ def body_labels(scene: DatasetScene, plan: FramePlan) -> list[Label]:
 
 def disk_truth(scene: DatasetScene, plan: FramePlan, disks: Sequence[BodyDisk]) -> tuple[DiskTruth, ...]:
     """Truth of the disks of a frame with light on the detector."""
-    lit = [disk for disk in disks if disk.image.electrons[0] > 0.0]
-    if scene.simulator.disks is None or not lit:
+    illuminated = [disk for disk in disks if disk.image.electrons[0] > 0.0]
+    if scene.simulator.disks is None or not illuminated:
         return ()
-    bodies, rotation = scene.simulator.disks.select([disk.row for disk in lit]), plan.attitude.as_matrix()
-    centre_px, (ra, dec) = scene.simulator.pixel_px(bodies.direction @ rotation.T), equatorial_deg(bodies.direction)
-    sun_angle, pixel_rad = np.degrees(bodies.sun_angle_rad(rotation)), scene.instrument.pixel_arcsec * ARCSEC_RAD
+    bodies = scene.simulator.disks.select([disk.row for disk in illuminated])
+    rotation = plan.attitude.as_matrix()
+    centre_px = scene.simulator.pixel_px(bodies.direction @ rotation.T)
+    ra_deg, dec_deg = equatorial_deg(bodies.direction)
+    sun_angle_deg = np.degrees(bodies.sun_angle_rad(rotation))
+    pixel_rad = scene.instrument.pixel_arcsec * ARCSEC_RAD
     truths = []
-    for k, (disk, (x, y)) in enumerate(zip(lit, centre_px, strict=True)):
+    for k, (disk, (x, y)) in enumerate(zip(illuminated, centre_px, strict=True)):
         magnitude = float(bodies.magnitude_v[k])
         truths.append(
             DiskTruth(
                 name=disk.name,
                 kind="moon" if disk.name == "moon" else "planet",
                 star_id=PLANET_IDS[disk.name],
-                ra_deg=float(ra[k]),
-                dec_deg=float(dec[k]),
+                ra_deg=float(ra_deg[k]),
+                dec_deg=float(dec_deg[k]),
                 x_px=float(x),
                 y_px=float(y),
                 diameter_px=float(bodies.angular_diameter_rad[k] / pixel_rad),
                 phase_deg=float(np.degrees(bodies.phase_rad[k])),
-                sun_angle_deg=float(sun_angle[k]),
+                sun_angle_deg=float(sun_angle_deg[k]),
                 magnitude=None if math.isnan(magnitude) else magnitude,
                 electrons=float(disk.image.electrons[0]),
                 photon_x_px=float(disk.image.photon_px[0, 0]),

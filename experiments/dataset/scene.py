@@ -28,12 +28,15 @@ from render.sky.sky import Sky, load_sky
 from render.sky.star_light import StarLight
 from render.sky.zodiacal import CLOSEST_DEG
 
-SEARCHED_FRAMES = 10_000
+MAX_CHECKED_FRAMES = 10_000
+"""Frames whose attitude is checked before rendering; a longer sequence is checked at its start."""
 JITTER_SIGMA = 5.0
-LONGEST_ANNEALED_S = 5e6
+"""Jitter amplitude in standard deviations, for the margin of the star field."""
+MAX_ANNEALING_S = 5e6
 """Annealing time of a dose accumulated over years: the end of the published curve
 (`render.detector.displacement_damage`)."""
 SUN_MARGIN_DEG = 0.5
+"""Margin for the motion during an exposure, to the least solar elongation of the zodiacal light."""
 PLANET_IDS = {
     "mercury": -1000199,
     "venus": -1000299,
@@ -47,6 +50,7 @@ PLANET_IDS = {
 }
 """``star_id`` of bodies of the solar system: minus one million minus the number that JPL's NAIF gives them."""
 LAST_PLANET_ID = max(PLANET_IDS.values())
+"""Rows of the truth up to this ``star_id`` are bodies of the solar system; ids of stars are above it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,9 +58,9 @@ class DatasetScene:
     """Common data of the frames of a dataset; from `build_scene`."""
 
     config: DatasetConfig
-    instrument: Instrument  # Camera and detector, cut to the window
+    instrument: Instrument  # Camera and detector, restricted to the read-out window
     simulator: SkySimulator  # Stars to the magnitude limit, bodies, diffuse light
-    row: NDArray[np.int64]  # (n,) Rows of its stars in the full catalogue
+    row: NDArray[np.int64]  # (n,) Rows of the rendered stars in the full catalogue
     plan: Plan
     wcs: LensWcs  # World coordinates, fitted to chief rays at the mean of the wavelength nodes
 
@@ -72,7 +76,7 @@ class DatasetScene:
 
     @property
     def light(self) -> StarLight:
-        """The pass band."""
+        """Photons of stars by magnitude and temperature, in the passband."""
         return self.simulator.light
 
     @property
@@ -95,13 +99,13 @@ def build_scene(config: DatasetConfig) -> DatasetScene:
         instrument.check_field()
     except DomainError as error:
         raise DomainError(f"instrument.width_px, instrument.height_px: {error}") from None
-    instrument = _aged(instrument, config)
+    instrument = _irradiated(instrument, config)
     instrument = replace(instrument, camera=with_halos(instrument.camera, config.scatter, config.contamination))
     plan = build_plan(config, instrument.detector.height_px, instrument.diagonal_deg)
     catalogue = load_catalogue(config.catalogue)
     rows = np.flatnonzero(catalogue.magnitude <= config.catalogue.faintest_mag)
     if not len(rows):
-        raise DomainError(_no_star(catalogue, config.catalogue))
+        raise DomainError(_no_star_message(catalogue, config.catalogue))
     sky = load_sky(
         catalogue,
         faintest_mag=config.catalogue.faintest_mag,
@@ -118,7 +122,7 @@ def build_scene(config: DatasetConfig) -> DatasetScene:
         plan=plan,
         wcs=lens_wcs(instrument.camera, wavelength_nm=float(simulator.light.wavelength_nm.mean())),
     )
-    _check_light(scene)
+    _check_temperatures(scene)
     _check_stars(scene)
     if config.background.zodiacal:
         _check_sun(scene)
@@ -149,13 +153,13 @@ def _simulator(config: DatasetConfig, instrument: Instrument, sky: Sky, plan: Pl
         detector_reflectance=config.scatter.detector_reflectance,
         cosmic_rays=None if radiation.environment == "none" else radiation.environment,
         silicon_depth_um=radiation.depth_um,
-        margin_px=MARGIN_PX + _reach_px(plan, instrument),
+        margin_px=MARGIN_PX + _checked_displacement_px(plan, instrument),
         tolerance=config.pupil_tolerance,
         by_grid=True,
     )
 
 
-def _aged(instrument: Instrument, config: DatasetConfig) -> Instrument:
+def _irradiated(instrument: Instrument, config: DatasetConfig) -> Instrument:
     """The instrument with the displacement damage of its detector."""
     radiation = config.radiation
     if not radiation.displacement_dose_tev_per_g:
@@ -165,17 +169,17 @@ def _aged(instrument: Instrument, config: DatasetConfig) -> Instrument:
         displacement_dose_tev_per_g=radiation.displacement_dose_tev_per_g,
         depleted_volume_um3=radiation.depleted_volume_um3,
         temperature_c=config.instrument.chip_temperature_c,
-        annealed_s=LONGEST_ANNEALED_S,
+        annealed_s=MAX_ANNEALING_S,
     )
     return replace(instrument, detector=detector)
 
 
 def stars_of(scene: DatasetScene, frame: int) -> SkyField:
-    """Stars in the field in the middle of an exposure; `SkyField.row` counts in ``scene.sky``."""
+    """Stars in the field at mid-exposure; `SkyField.row` are rows of ``scene.sky``."""
     return scene.sky.field(scene.simulator.view, plan_frame(scene.plan, frame).attitude)
 
 
-def _no_star(catalogue: StarCatalog, config: CatalogueConfig) -> str:
+def _no_star_message(catalogue: StarCatalog, config: CatalogueConfig) -> str:
     magnitude = catalogue.magnitude[np.isfinite(catalogue.magnitude)]
     if not len(magnitude):
         return f"catalogue {catalogue.name} has no magnitude for any of its {len(catalogue)} stars; name another column"
@@ -185,7 +189,7 @@ def _no_star(catalogue: StarCatalog, config: CatalogueConfig) -> str:
     )
 
 
-def _check_light(scene: DatasetScene) -> None:
+def _check_temperatures(scene: DatasetScene) -> None:
     """Refuse stars too cold or too hot for the pass band, before rendering."""
     catalogue, temperature_k = scene.catalogue, scene.sky.temperature_k
     for star in (np.argmin(temperature_k), np.argmax(temperature_k)):
@@ -195,15 +199,16 @@ def _check_light(scene: DatasetScene) -> None:
             raise DomainError(f"catalogue {catalogue.name}, star {catalogue.id[star]}: {error}") from None
 
 
-def _reach_px(plan: Plan, instrument: Instrument) -> float:
+def _checked_displacement_px(plan: Plan, instrument: Instrument) -> float:
     """Largest displacement of a star from the middle of the exposure; refuses images that leave the frame."""
-    across, about = fastest_rad_per_s(plan)
+    cross_rad_per_s, roll_rad_per_s = fastest_rad_per_s(plan)
+    cross_deg_per_s = cross_rad_per_s * RAD_DEG
     camera, config = instrument.camera, plan.config.instrument
-    jitter = np.zeros(3) if plan.jitter is None else plan.jitter.rms_arcsec * ARCSEC_RAD * JITTER_SIGMA
+    jitter_rad = np.zeros(3) if plan.jitter is None else plan.jitter.rms_arcsec * ARCSEC_RAD * JITTER_SIGMA
     motion = image_motion(
-        across_rad_per_s=across,
-        about_rad_per_s=about,
-        jitter_rad=jitter,
+        across_rad_per_s=cross_rad_per_s,
+        about_rad_per_s=roll_rad_per_s,
+        jitter_rad=jitter_rad,
         exposure_s=config.exposure_s,
         duration_s=plan.duration_s,
         pixel_rad=instrument.pixel_arcsec * ARCSEC_RAD,
@@ -211,14 +216,14 @@ def _reach_px(plan: Plan, instrument: Instrument) -> float:
     )
     if motion.trail_px > motion.most_px:
         raise DomainError(
-            f"at {across * RAD_DEG:g} deg/s stars move by {motion.trail_px:.0f} px in "
+            f"at {cross_deg_per_s:g} deg/s stars move by {motion.trail_px:.0f} px in "
             f"instrument.exposure_s = {config.exposure_s:g} s and leave the frame of {camera.width_px} x "
-            f"{camera.height_px} px; at most {across * RAD_DEG * motion.most_px / motion.trail_px:.3g} deg/s is "
+            f"{camera.height_px} px; at most {cross_deg_per_s * motion.most_px / motion.trail_px:.3g} deg/s is "
             "possible"
         )
     if motion.drift_px > motion.corner_px:
         raise DomainError(
-            f"at {across * RAD_DEG:g} deg/s stars move by {2 * motion.drift_px:.0f} px while rows are read "
+            f"at {cross_deg_per_s:g} deg/s stars move by {2 * motion.drift_px:.0f} px while rows are read "
             f"(instrument.line_time_us = {config.line_time_us:g} us), more than the diagonal of "
             f"{2 * motion.corner_px:.0f} px; take a lower rate or line time"
         )
@@ -234,7 +239,7 @@ def _check_stars(scene: DatasetScene) -> None:
     """Refuse a dataset without a star in any frame; single frames may be empty."""
     if isinstance(scene.config.pointing, SkyPointing) or scene.config.background.moon_planets:
         return  # random attitudes over the sky may always contain a star, and planets are point sources too
-    if any(len(stars_of(scene, frame)) for frame in range(min(scene.config.frames, SEARCHED_FRAMES))):
+    if any(len(stars_of(scene, frame)) for frame in range(min(scene.config.frames, MAX_CHECKED_FRAMES))):
         return
     raise DomainError(
         f"no frame contains a star to catalogue.faintest_mag = {scene.config.catalogue.faintest_mag:g} mag; raise it "
@@ -244,19 +249,20 @@ def _check_stars(scene: DatasetScene) -> None:
 
 def _check_sun(scene: DatasetScene) -> None:
     """Refuse zodiacal light for attitudes nearer to the Sun than its tables reach."""
-    to_sun = earth_observer(scene.config.catalogue.epoch_year).to_sun
-    needed = CLOSEST_DEG + float(np.degrees(scene.simulator.view.radius_rad)) + SUN_MARGIN_DEG
+    direction_to_sun = earth_observer(scene.config.catalogue.epoch_year).to_sun
+    min_elongation_deg = CLOSEST_DEG + float(np.degrees(scene.simulator.view.radius_rad)) + SUN_MARGIN_DEG
     pointing = scene.config.pointing
     reason = f"background.zodiacal: the light within {CLOSEST_DEG:g} deg of the Sun is not known"
     if isinstance(pointing, SkyPointing):
-        if pointing.sun_exclusion_deg < needed:
-            raise DomainError(f"{reason}; set pointing.sun_exclusion_deg to at least {np.ceil(needed):g}")
+        if pointing.sun_exclusion_deg < min_elongation_deg:
+            raise DomainError(f"{reason}; set pointing.sun_exclusion_deg to at least {np.ceil(min_elongation_deg):g}")
         return
-    for frame in range(min(scene.config.frames, SEARCHED_FRAMES)):
+    for frame in range(min(scene.config.frames, MAX_CHECKED_FRAMES)):
         boresight = plan_frame(scene.plan, frame).attitude.as_matrix()[2]
-        angle = float(np.degrees(np.arccos(np.clip(boresight @ to_sun, -1.0, 1.0))))
-        if angle < needed:
+        elongation_deg = float(np.degrees(np.arccos(np.clip(boresight @ direction_to_sun, -1.0, 1.0))))
+        if elongation_deg < min_elongation_deg:
             raise DomainError(
-                f"{reason}, frame {frame} looks {angle:.1f} deg from it and its corners {needed - CLOSEST_DEG:.1f} deg "
-                "farther; change catalogue.epoch_year, the attitudes, or leave it out"
+                f"{reason}, frame {frame} looks {elongation_deg:.1f} deg from it and its corners "
+                f"{min_elongation_deg - CLOSEST_DEG:.1f} deg farther; change catalogue.epoch_year, the attitudes, "
+                "or leave it out"
             )

@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class FileColumn:
-    """A column of the truth: name, type, unit as astropy spells it, and what it holds."""
+    """A column of the truth."""
 
     name: str
     type: str
-    unit: str
-    about: str
+    unit: str  # In astropy's spelling
+    description: str
 
 
 COLUMNS = (
@@ -78,11 +78,15 @@ FLAGS = {
 """Name -> (bit, meaning); footprints: `calib.measure.detection.footprints`."""
 
 LOST_FRACTION = 1e-3
+"""Fraction of a star's electrons off the detector (``off_edge``) or behind a body (``hidden``)."""
 VIGNETTED_FRACTION = 0.01
+"""Loss of transmission relative to the axis (``vignetted``)."""
 BLEND_FRACTION = 0.01
-DARK_FRACTION = 1e-6
+"""Electrons of a neighbour relative to the star's (``blended``)."""
+NO_LIGHT_FRACTION = 1e-6
+"""Fraction of the entering electrons up to which a star counts as without light (``no_light``)."""
 MARGIN_PX = 16.0
-"""Stars whose chief ray passes farther from the detector have no row without light on it."""
+"""A star without light on the detector has a row if its chief ray is at most this far outside."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -117,21 +121,22 @@ def star_rows(
     frame: int,
     band: str,
     blur_px: float,
-    empty_e2: float,
+    background_e2: float,
     bits: NDArray[np.uint8],
     smear_px: FloatArray,
     axial_transmission: float,
 ) -> dict[str, Any]:
     """Columns of the truth of a frame in one band.
 
-    ``empty_e2``: temporal variance of a pixel without starlight [e-^2]; ``bits`` (h, w): `pixel_flags`; ``smear_px``
-    (n, 2): motion of every star; ``axial_transmission``: part of the light on the axis that the apertures let through.
+    ``background_e2``: temporal variance of a pixel without starlight [e-^2]; ``bits`` (h, w): `pixel_flags`;
+    ``smear_px`` (n, 2): motion of the chief rays; ``axial_transmission``: fraction of the light of a star on the axis
+    that passes all apertures.
     """
     ra_deg, dec_deg = equatorial_deg(sources.direction)
     values = {name: getattr(truth, name)[:, 0] for name in type(truth).__dataclass_fields__}
     n = len(sources)
     electrons = values["electrons_image"]
-    rays = values["variance_x_px2"], values["variance_y_px2"]
+    half_size_px = footprint_px(values["variance_x_px2"], values["variance_y_px2"], blur_px)
     columns = {
         "frame": np.full(n, frame, np.int64),
         "star_id": sources.star_id,
@@ -142,40 +147,46 @@ def star_rows(
         "magnitude": sources.magnitude,
         "temperature_k": sources.temperature_k,
         "electrons": electrons,
-        "snr": flux_snr(electrons, values["noise_area_px2"], noise_e2=empty_e2),
+        "snr": flux_snr(electrons, values["noise_area_px2"], noise_e2=background_e2),
         "smear_x_px": smear_px[:, 0],
         "smear_y_px": smear_px[:, 1],
-        "flags": _flags(values, footprint_px(*rays, blur_px), bits, axial_transmission),
+        "flags": _star_flags(values, half_size_px, bits, axial_transmission),
         **{name: value for name, value in values.items() if name != "electrons_image"},
     }
-    listed = electrons > DARK_FRACTION * values["electrons_in"]
     chief_px = np.stack([values["chief_x_px"], values["chief_y_px"]])
-    low, high = -0.5 - MARGIN_PX, np.array(bits.shape[::-1])[:, None] - 0.5 + MARGIN_PX
-    listed |= ((chief_px >= low) & (chief_px <= high)).all(0)
+    low_px = -0.5 - MARGIN_PX
+    high_px = np.array(bits.shape[::-1])[:, None] - 0.5 + MARGIN_PX
+    near_detector = ((chief_px >= low_px) & (chief_px <= high_px)).all(0)
+    has_row = near_detector | (electrons > NO_LIGHT_FRACTION * values["electrons_in"])
     return {
-        column.name: columns[column.name] if column.type == "str" else np.asarray(columns[column.name])[listed]
+        column.name: columns[column.name] if column.type == "str" else np.asarray(columns[column.name])[has_row]
         for column in COLUMNS
     }
 
 
-def _flags(
-    values: dict[str, FloatArray], half: FloatArray, bits: NDArray[np.uint8], axial_transmission: float
+def _star_flags(
+    values: dict[str, FloatArray], half_size_px: FloatArray, bits: NDArray[np.uint8], axial_transmission: float
 ) -> NDArray[np.int32]:
-    entering, detected, off_edge = (values[f"electrons_{name}"] for name in ("in", "image", "off_edge"))
+    """Sums of bits (n,) of `FLAGS`; ``half_size_px`` (2, n): half sides of the footprints."""
+    entering = values["electrons_in"]
+    detected = values["electrons_image"]
+    off_edge = values["electrons_off_edge"]
     transmitted = entering - values["electrons_vignetted"]
-    dark = ~(detected > DARK_FRACTION * entering)
+    no_light = ~(detected > NO_LIGHT_FRACTION * entering)
     flags = np.zeros(len(entering), np.int32)
     for name, flagged in (
         ("off_edge", off_edge > LOST_FRACTION * (off_edge + detected)),
         ("vignetted", transmitted < (1.0 - VIGNETTED_FRACTION) * axial_transmission * entering),
         ("hidden", values["electrons_hidden"] > LOST_FRACTION * entering),
-        ("no_light", dark),
+        ("no_light", no_light),
     ):
         flags[flagged] |= FLAGS[name][0]
-    centre = np.stack([values["photon_x_px"], values["photon_y_px"]])
-    lit = np.flatnonzero(~dark & np.isfinite(centre).all(0))
-    flags[lit] |= footprint_bits(centre[:, lit], half[:, lit], bits)
-    flags[lit[overlapping(centre[:, lit], half[:, lit], detected[lit], BLEND_FRACTION)]] |= FLAGS["blended"][0]
+    centre_px = np.stack([values["photon_x_px"], values["photon_y_px"]])
+    illuminated = np.flatnonzero(~no_light & np.isfinite(centre_px).all(0))
+    centre_px, half_size_px = centre_px[:, illuminated], half_size_px[:, illuminated]
+    flags[illuminated] |= footprint_bits(centre_px, half_size_px, bits)
+    blended = overlapping(centre_px, half_size_px, detected[illuminated], BLEND_FRACTION)
+    flags[illuminated[blended]] |= FLAGS["blended"][0]
     return flags
 
 
@@ -189,32 +200,32 @@ class DiskTruth:
     name: str
     kind: str  # ``moon`` or ``planet``, as in the labels
     star_id: int  # -10^6 - NAIF number
-    ra_deg: float  # Apparent direction of its centre, icrs
-    dec_deg: float
-    x_px: float  # Centre (column, row) and size
-    y_px: float
+    ra_deg: float  # Apparent right ascension of the centre, ICRS
+    dec_deg: float  # Apparent declination of the centre, ICRS
+    x_px: float  # Column of the centre
+    y_px: float  # Row of the centre
     diameter_px: float
-    phase_deg: float  # Angle Sun - body - observer; direction of the Sun in the image, from +column towards +row
-    sun_angle_deg: float
+    phase_deg: float  # Phase angle: Sun - body - observer
+    sun_angle_deg: float  # Direction of the Sun in the image, from +column towards +row
     magnitude: float | None  # V; None where no published equation holds
-    electrons: float  # Expected electrons on the detector and their centroid
-    photon_x_px: float
-    photon_y_px: float
-    noise_share: float  # Square of the image's error over the photon noise, in the pixel where it is largest
+    electrons: float  # Expected electrons on the detector
+    photon_x_px: float  # Column of the centroid of these electrons
+    photon_y_px: float  # Row of this centroid
+    noise_share: float  # Squared numerical error of the image over photon variance, maximum over the pixels
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameGhost:
-    """A ghost: light of a source that two surfaces reflect, the number of surfaces being the detector."""
+    """A ghost: light of a source reflected by two surfaces; index n of n lens surfaces (0 to n - 1) is the detector."""
 
     source: str  # Identifier of a star, or name of a body
-    back: int  # Surface that reflects the light backward, and the one that reflects it forward
-    forward: int
-    x_px: float  # Centroid, on the detector or outside, and radius of a uniform disk with the RMS radius of the ghost
-    y_px: float
-    radius_px: float
-    electrons: float  # Total, and in the brightest pixel
-    peak_e: float
+    back: int  # Surface of the first reflection, towards the sky
+    forward: int  # Surface of the second reflection, towards the detector
+    x_px: float  # Column of the centroid, on the detector or outside
+    y_px: float  # Row of the centroid
+    radius_px: float  # Radius of the uniform disk with the RMS radius of the ghost
+    electrons: float  # Total
+    peak_e: float  # Electrons in the brightest pixel
     sharp: bool  # Small enough to be detected as a star
 
 
@@ -224,22 +235,22 @@ class FrameRecord:
 
     frame: int
     split: str  # train, validation, test or gap
-    file: str  # Frame and truth, relative to the dataset's folder
-    truth: str
-    ra_deg: float  # Boresight and position angle of up, in the middle of the exposure
-    dec_deg: float
-    roll_deg: float
-    quat_xyzw: tuple[float, float, float, float]  # The same attitude, cam from icrs, scalar last and not negative
-    rate_deg_per_s: tuple[float, float, float]  # Angular velocity in camera axes at that time
+    file: str  # Path of the frame, relative to the dataset's folder
+    truth: str  # Path of its truth, relative to the dataset's folder
+    ra_deg: float  # Right ascension of the boresight at mid-exposure
+    dec_deg: float  # Declination of the boresight at mid-exposure
+    roll_deg: float  # Position angle of the image's up direction (-row), north through east
+    quat_xyzw: tuple[float, float, float, float]  # Attitude at mid-exposure: camera from ICRS, scalar last, w >= 0
+    rate_deg_per_s: tuple[float, float, float]  # Angular velocity in camera axes at mid-exposure
     epoch_year: float  # Julian year
     exposure_s: float
-    stars: int  # Stars of which light reaches the detector, and those of them with a saturated pixel
-    saturated: int
-    saturated_px: int
+    stars: int  # Number of stars with light on the detector
+    saturated: int  # Number of these stars with a saturated pixel
+    saturated_px: int  # Number of saturated pixels in the frame
     background_e: float  # Mean expected electrons per pixel of sky light
-    frame_bytes: int  # Size and digest of the frame's file
-    sha256: str
-    # Left out of the text if empty
+    frame_bytes: int  # Size of the frame's file
+    sha256: str  # SHA-256 digest of the frame's file
+    # The following are omitted from the text if empty
     disks: tuple[DiskTruth, ...] = ()
     ghosts: tuple[FrameGhost, ...] = ()
     layers_sha256: str = ""

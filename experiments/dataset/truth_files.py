@@ -27,7 +27,7 @@ Format = Literal["parquet", "ecsv"]
 
 RECORD, ORIGIN, DIGEST = "starbench_frame", "starbench_dataset", "starbench_sha256"
 _BLANK = "0" * 64
-_FLAG_TEXTS = {name: f"{bit}: {about}" for name, (bit, about) in FLAGS.items()}
+_FLAG_TEXTS = {name: f"{bit}: {meaning}" for name, (bit, meaning) in FLAGS.items()}
 _SEAL = re.compile(DIGEST.encode() + rb"[^0-9a-f]{1,6}([0-9a-f]{64})", re.DOTALL)
 
 INDEX_COLUMNS = (
@@ -145,7 +145,7 @@ def _schema(columns: tuple[FileColumn, ...]) -> Any:
 
     def field(c: FileColumn) -> Any:
         kind = pa.string() if c.type == "str" else getattr(pa, c.type)()
-        return pa.field(c.name, kind, nullable=False, metadata={"unit": c.unit, "description": c.about})
+        return pa.field(c.name, kind, nullable=False, metadata={"unit": c.unit, "description": c.description})
 
     return pa.schema(map(field, columns))
 
@@ -185,7 +185,7 @@ def _ecsv(
     for c in columns:
         value, kind = rows[c.name], None if c.type == "str" else c.type
         data = np.full(size, value) if isinstance(value, str) else np.asarray(value, kind)
-        table[c.name] = TableColumn(data, unit=c.unit or None, description=c.about)
+        table[c.name] = TableColumn(data, unit=c.unit or None, description=c.description)
     table.meta = {**metadata, **footer, "rows": size} | ({"flags": _FLAG_TEXTS} if "flags" in rows else {})
     text = io.StringIO()
     with np.printoptions(legacy=False):  # print options of the user's program may cut digits off

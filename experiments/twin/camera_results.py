@@ -231,7 +231,7 @@ def true_numbers(truth: RenderedNight, numbers: CameraNumbers, fit: CameraFit) -
         ("gain", "e-/DN", numbers.gain_e_per_dn, 1.0 / chip.gain_dn_per_e),
         ("PRNU", "percent", numbers.prnu_percent, 100.0 * chip.prnu),
         ("zero point", "mag", numbers.zero_point_mag, truth.zero_point_mag),
-        ("vignetting at the corner", "mag", numbers.vignetting_mag, truth.corner_loss_mag),
+        ("vignetting at the corner", "mag", numbers.vignetting_mag, truth.corner_vignetting_mag),
         ("focal length", "px", numbers.focal_length_px, focal / chip.pixel_pitch_mm),
     ]
     return [

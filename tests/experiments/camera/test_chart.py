@@ -9,13 +9,13 @@ import pytest
 from scipy.spatial.distance import pdist
 
 from calib.measure.reduced_frame import MeasuredFrame
-from experiments.camera.frames import MATCH_PX, _scattered
+from experiments.camera.frames import MATCH_PX, _jittered_grid
 
 
 @pytest.mark.parametrize(("width", "height", "count"), [(1024, 1024, 100), (4096, 2048, 300), (200, 150, 400)])
 def test_places_are_two_windows_apart_and_from_the_edge(width, height, count):
     window = 13
-    position_px = _scattered(width, height, count, window, np.random.default_rng(1))
+    position_px = _jittered_grid(width, height, count, window, np.random.default_rng(1))
     assert pdist(position_px, "chebyshev").min() >= 2.0 * window - 1e-9
     assert position_px.min() >= window - 0.5
     assert (position_px.max(0) <= np.array([width, height]) - 0.5 - window).all()

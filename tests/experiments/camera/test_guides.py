@@ -49,4 +49,4 @@ def test_lost_in_space_identification_and_a_field_that_is_too_narrow(tracker):
     assert found.wrong_percent == 0.0
     assert fraction_measured(0, 10).uncertainty == pytest.approx(0.1)
     small = parse_model(CameraReportConfig, TRACKER | sensor(100, ideal_lens()), "test")
-    assert "too narrow" in lost_in_space(predict_camera(small)).refusal
+    assert "too narrow" in lost_in_space(predict_camera(small)).reason_skipped

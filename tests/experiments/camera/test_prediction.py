@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from small_sensors import RAYS, sensor
 
-from experiments.camera.answer import ThermalRange, answer_lines, limits, swings
+from experiments.camera.answer import ThermalRange, answer_rows, limits, swings
 from experiments.camera.experiment import predicted
 from experiments.camera.guides import Coverage, LostInSpace
 from experiments.camera.operation import SlewPrediction
-from experiments.camera.run import MANUFACTURED
+from experiments.camera.run import MANUFACTURED_LENS_REQUIREMENTS
 from experiments.camera.settings import CameraReportConfig
 from experiments.harness.range import with_value
 from experiments.harness.sections import numbers_of
@@ -73,7 +73,7 @@ def test_tornado_and_verdicts(config, tracker):
     found = swings(few, tracker)
     assert [swing.key for swing in found][0::2] == ["instrument.exposure_s", "throughput_fraction"]
     assert found[-1].gain == 0.0 < found[1].gain < found[-1].size  # transmission of 1: light can only be lost
-    lines = answer_lines(tracker, [], found)
+    lines = list(answer_rows(tracker, [], found).values())
     assert len(lines) == 10
     assert max(map(len, lines)) <= 80
     assert f"G = {tracker.value('limiting_magnitude_mag'):.2f} mag" in lines[4]
@@ -102,6 +102,8 @@ def test_focus_gains_what_the_best_focus_gives(config):
 
 def test_every_requirement_has_its_prediction(tracker):
     records = (ThermalRange, Coverage, LostInSpace, SlewPrediction)
-    names = set(tracker.numbers).union(MANUFACTURED, *(record.__dataclass_fields__ for record in records))
+    names = set(tracker.numbers).union(
+        MANUFACTURED_LENS_REQUIREMENTS, *(record.__dataclass_fields__ for record in records)
+    )
     assert set(RequirementsConfig.model_fields) - {"sun_exclusion_deg"} <= names  # that: experiment straylight
     assert limits(CameraReportConfig()) == {}
