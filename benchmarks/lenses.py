@@ -81,7 +81,7 @@ def settings_of(name: str) -> list[str]:
 def chromatic_lsfe_arcsec(name: str) -> float:
     """Shift between the coolest and the hottest star, RMS over the window, times 3."""
     from experiments.chromatic.settings import ChromaticConfig
-    from experiments.chromatic.stars import most_different_px, stellar_shift
+    from experiments.chromatic.stars import max_pairwise_rms_px, stellar_shift
     from experiments.harness.config import load_config
     from render.engine import Engine
     from render.sensor_file.filters import open_band
@@ -92,7 +92,7 @@ def chromatic_lsfe_arcsec(name: str) -> float:
     instrument = build_instrument(config.instrument)
     _, shift_px = stellar_shift(config.stars, open_band(config.passband, instrument, "full pass band"), instrument)
     pixel_rad = instrument.camera.pixel_pitch_mm / instrument.focal_length_mm
-    return float(3.0 * np.degrees(most_different_px(shift_px) * pixel_rad) * 3600.0)
+    return float(3.0 * np.degrees(max_pairwise_rms_px(shift_px) * pixel_rad) * 3600.0)
 
 
 def run(experiment: str, name: str, folder: Path) -> tuple[int, str]:

@@ -1,8 +1,8 @@
-"""Chromatic error of a laboratory's own frames (ACC18 eq. 13-16): every series is a filter at a place of the field."""
+"""Chromatic error of a laboratory's own frames (ACC18 eq. 13-16): every series is a filter at a field position."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,9 +40,9 @@ class PairResidual:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UniformShift:
-    """Uniform part of a pair's shift, first centroider: by the lens, and by the filters."""
+    """Field-independent part of a pair's shift, first centroider, and its parts by the lens and by the filters."""
 
-    constant_px: Sequence[Measured] = col("Uniform part", "px", dims="axis")
+    uniform_px: Sequence[Measured] = col("Field-independent", "px", dims="axis")
     lens_px: Sequence[Measured] = col("by the lens", "px", dims="axis")
     wedge_px: Sequence[Measured] = col("by the filters", "px", dims="axis")
     separated_text: str = col("Separated")
@@ -50,10 +50,10 @@ class UniformShift:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FilterExchange:
-    """Exchanged files of filters."""
+    """Series whose filters are interchanged (mislabelled)."""
 
     descriptions: Sequence[str]
-    exchanged: int = col("Exchanged filters")
+    exchanged: int = col("Interchanged filters")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,20 +65,20 @@ class CentroiderTable1:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FieldShifts:
-    """Points of all places, first centroider."""
+    """Points of all field positions, first centroider."""
 
     filters_nm: Sequence[float] = col("Filters", "nm", dims="filter", shown=False)
-    position_px: FloatArray = col("Place", "px", ".4f", "point axis")
+    position_px: FloatArray = col("Position", "px", ".4f", "point axis")
     shift_px: Sequence[Sequence[Sequence[Measured]]] = col("Shift", "px", ".4f", "pair point axis")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FilterFrames:
-    """Positions of j points at p places behind b filters."""
+    """Images of j points at p field positions behind b filters."""
 
     filters_nm: tuple[float, ...]  # Central wavelengths, increasing
     reference: int  # Index of the filter with which the others are compared
-    grid: tuple[tuple[SeriesFrames, ...], ...]  # Place by place, filter by filter
+    grid: tuple[tuple[SeriesFrames, ...], ...]  # ``grid[field position][filter]``
 
     @property
     def pairs(self) -> list[tuple[str, int, int]]:
@@ -107,7 +107,7 @@ class FilterFrames:
 
 
 def filter_frames(folder: FrameFolder, methods: Sequence[str], config: Any) -> FilterFrames:
-    """Series by place and filter; every place needs one series behind every filter."""
+    """Series by field position and filter; every field position needs one series behind every filter."""
     by_filter: dict[tuple[str, float], SeriesFrames] = {}
     for series in folder.series:
         key = (series.settings.place, float(series.settings.filter_nm or 0.0))
@@ -141,59 +141,83 @@ def filter_frames(folder: FrameFolder, methods: Sequence[str], config: Any) -> F
     )
 
 
-def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> Reduced:
-    """Chromatic error of a folder; uncertainties by the stated noise."""
-    frames, first, scale = filter_frames(folder, methods, config), methods[0], folder.settings.pixel_arcsec
-    names = [name for name, _, _ in frames.pairs]
-    shift, sigma = frames.shift_px(first), frames.shift_sigma_px(first)
-    position_px = frames.mean_px(first)[:, :, frames.reference]
-    from_centre = position_px - folder.centre_px
-    pairs, residuals, constants = [], [], []
-    angles = np.array([[series.settings.angle_deg for series in row] for row in frames.grid])
-    for name, high, low in frames.pairs:
-        count = sigma[name][..., 0].size
-        error = np.sqrt((sigma[name] ** 2).sum((0, 1))) / (2 * count)
-        pairs.append(
-            PairShift(
-                pair_name=name,
-                table1_px=measured(table1(shift[name]), error, n=count),
-                shift_arcsec=scale * shift[name].reshape(-1, 2),
-            )
-        )
-        uniform = separate_wedge(shift[name], sigma[name], from_centre, angles[:, high], angles[:, low])
-        constants.append(
-            UniformShift(
-                constant_px=measured(uniform.constant_px, uniform.constant_sigma_px),
-                lens_px=measured(uniform.lens_px, uniform.lens_sigma_px),
-                wedge_px=measured(uniform.wedge_px, uniform.wedge_sigma_px),
-                separated_text=_separated(bool(np.isfinite(uniform.wedge_px).all()), bool(np.ptp(angles) > 0)),
-            )
-        )
-        steps = after_calibration(shift[name], from_centre).values()
-        residuals.append(PairResidual(residual_px=np.array([np.hypot(*rms_shift_px(step)) for step in steps])))
-    exchanged = exchange_text(frames)
-    by_method = [frames.shift_px(method) for method in methods]
-    point_shift, point_sigma = (
-        np.stack([by_pair[name].reshape(-1, 2) for name in names]) for by_pair in (shift, sigma)
-    )
+def reduce_filters(folder: FrameFolder, methods: Sequence[str], config: Any) -> Reduced:
+    """Chromatic error of a folder (eq. 15-16) with the settings ``filters`` of ``config``; uncertainties by the stated
+    noise."""
+    frames = filter_frames(folder, methods, config)
+    method = methods[0]
+    shift_px = frames.shift_px(method)
+    sigma_px = frames.shift_sigma_px(method)
+    position_px = frames.mean_px(method)[:, :, frames.reference]
+    from_centre_px = position_px - folder.centre_px
+    pairs = [name for name, _, _ in frames.pairs]
+    interchanged = describe_interchanged(frames)
     return [series for row in frames.grid for series in row], {
-        "pairs": pairs,
-        "constants": constants,
-        "exchange": FilterExchange(descriptions=exchanged, exchanged=len(exchanged)) if len(frames.grid) > 1 else None,
-        "calibration": residuals,
+        "pairs": [_pair_shift(pair, shift_px[pair], sigma_px[pair], folder.settings.pixel_arcsec) for pair in pairs],
+        "constants": _uniform_shifts(frames, shift_px, sigma_px, from_centre_px),
+        "exchange": FilterExchange(descriptions=interchanged, exchanged=len(interchanged))
+        if len(frames.grid) > 1
+        else None,
+        "calibration": [_pair_residual(shift_px[pair], from_centre_px) for pair in pairs],
         "centroiders": [
-            CentroiderTable1(table1_px=np.array([table1(by_pair[name]) for name in names])) for by_pair in by_method
+            CentroiderTable1(table1_px=np.array([table1(pair_shift) for pair_shift in by_pair.values()]))
+            for by_pair in map(frames.shift_px, methods)
         ],
         "points": FieldShifts(
             filters_nm=frames.filters_nm,
             position_px=position_px.reshape(-1, 2),
-            shift_px=measured(point_shift, point_sigma),
+            shift_px=measured(
+                np.stack([shift_px[pair].reshape(-1, 2) for pair in pairs]),
+                np.stack([sigma_px[pair].reshape(-1, 2) for pair in pairs]),
+            ),
         ),
     }
 
 
-def exchange_text(frames: FilterFrames) -> list[str]:
-    """Exchanged series by place and filter, in words."""
+def _pair_shift(pair: str, shift_px: FloatArray, sigma_px: FloatArray, pixel_arcsec: float) -> PairShift:
+    """Eq. 16 of one pair: half the mean of n independent shifts, hence half the standard error of the mean."""
+    count = sigma_px[..., 0].size
+    table1_sigma_px = np.sqrt((sigma_px**2).sum((0, 1))) / (2 * count)
+    return PairShift(
+        pair_name=pair,
+        table1_px=measured(table1(shift_px), table1_sigma_px, n=count),
+        shift_arcsec=pixel_arcsec * shift_px.reshape(-1, 2),
+    )
+
+
+def _uniform_shifts(
+    frames: FilterFrames,
+    shift_px: Mapping[str, FloatArray],
+    sigma_px: Mapping[str, FloatArray],
+    from_centre_px: FloatArray,
+) -> list[UniformShift]:
+    """Field-independent shift of every pair, separated by the angles of filters and camera (`separate_wedge`)."""
+    angles_deg = np.array([[series.settings.angle_deg for series in row] for row in frames.grid])
+    turned = bool(np.ptp(angles_deg) > 0)
+    shifts_of_pairs = []
+    for pair, high, low in frames.pairs:
+        uniform = separate_wedge(
+            shift_px[pair], sigma_px[pair], from_centre_px, angles_deg[:, high], angles_deg[:, low]
+        )
+        shifts_of_pairs.append(
+            UniformShift(
+                uniform_px=measured(uniform.constant_px, uniform.constant_sigma_px),
+                lens_px=measured(uniform.lens_px, uniform.lens_sigma_px),
+                wedge_px=measured(uniform.wedge_px, uniform.wedge_sigma_px),
+                separated_text=_separated(bool(np.isfinite(uniform.wedge_px).all()), turned),
+            )
+        )
+    return shifts_of_pairs
+
+
+def _pair_residual(shift_px: FloatArray, from_centre_px: FloatArray) -> PairResidual:
+    """RMS length of the shifts after each of `CALIBRATIONS`."""
+    residuals_px = after_calibration(shift_px, from_centre_px).values()
+    return PairResidual(residual_px=np.array([np.hypot(*rms_shift_px(residual_px)) for residual_px in residuals_px]))
+
+
+def describe_interchanged(frames: FilterFrames) -> list[str]:
+    """Interchanged series by field position and filter, in words."""
     rate = np.array([[series.light_per_s for series in row] for row in frames.grid])
     radius_px = np.array([[spot_radius_px(series.mean_e) for series in row] for row in frames.grid])
     texts = []
@@ -217,18 +241,18 @@ def _separated(separated: bool, turned: bool) -> str:
 
 def _exchange_advice(outcome: Outcome) -> str:
     descriptions = "; ".join(outcome.result["exchange"].descriptions)
-    return f"{descriptions} are exchanged relative to the other places; correct filter_nm"
+    return f"{descriptions} are interchanged relative to the other field positions; correct filter_nm"
 
 
-def _axes(q: Quantities, pairs: Sequence[PairShift]) -> None:
-    q.axis("step", list(CALIBRATIONS), "Calibration of the band")
-    q.axis("point", np.arange(len(pairs[0].shift_arcsec)) + 1, "Point")
+def _axes(quantities: Quantities, pairs: Sequence[PairShift]) -> None:
+    quantities.axis("step", list(CALIBRATIONS), "Calibration of the band")
+    quantities.axis("point", np.arange(len(pairs[0].shift_arcsec)) + 1, "Point")
 
 
 own_frames = FramesTest(
     title="Chromatic error",
     layout=FolderLayout(needs=("filter_nm",), same_scene="place"),
-    reduce=reduce,
+    reduce=reduce_filters,
     sections={
         "pairs": Section(
             record=PairShift,
@@ -248,9 +272,9 @@ own_frames = FramesTest(
             dim="pair",
             table="wedge",
             rows="pair axis",
-            caption="Uniform part of the shift: by a decentred lens (prism), which rotates with the camera, "
+            caption="Field-independent part of the shift: by a decentred lens (prism), which rotates with the camera, "
             "and by wedges, which rotate with the filters.",
-            note="Places of different filter_angle_deg or camera_angle_deg separate them; *the filters*: "
+            note="Field positions of different filter_angle_deg or camera_angle_deg separate them; *the filters*: "
             "difference of the two wedges, at angle 0.",
         ),
         "exchange": Section(
@@ -259,7 +283,7 @@ own_frames = FramesTest(
                 below(
                     "exchanged",
                     0,
-                    title="filters exchanged at a place, by the light and width of their spots",
+                    title="filters interchanged at a field position, by flux and width of their spots",
                     advice=_exchange_advice,
                 )
             ],

@@ -1,4 +1,4 @@
-"""Search of the movement of a lens element that gives a wanted entry of Table 1, by ray trace."""
+"""Misalignment (decentre or tilt) of a lens element that gives a required entry of Table 1, solved by ray trace."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from render.camera import PathLosses
 from render.sensor_file.instrument import Instrument
 
 REFINED_PX = 3e-7
-"""Largest difference from the wanted entry."""
+"""Tolerance of the entry of Table 1 with weighted rays [px]."""
 LIMIT = {"decentre": 3.0, "tilt": 3.0}
 """Largest movement in the search [mm, deg]."""
 UNIT = {"decentre": 1e3, "tilt": 60.0}
-"""um per mm, arcmin per deg: `Solution.amount` against the argument of `moved_element`."""
+"""um per mm, arcmin per deg: `ElementMovement.amount` against the argument of `moved_element`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ElementMovement:
-    """The movement of one element that gives the wanted entry of Table 1; NaN where none up to the limit does."""
+    """Misalignment of one element that gives the required entry of Table 1; NaN if none within `LIMIT` does."""
 
     element: str = col("Element")
     movement: str = col("Movement")
@@ -70,7 +70,7 @@ ELEMENTS = Section(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RenderedMovement:
-    """The movement that is rendered."""
+    """The misalignment that is rendered."""
 
     element: str = col("Element")
     kind: str = col("Movement")
@@ -84,10 +84,29 @@ class RenderedMovement:
 MOVEMENT = Section(record=RenderedMovement)
 
 
-def solve(
+def solve_rendered_element(
+    config: ChromaticConfig, bench: Bench, instrument: Instrument, direction: FloatArray, progress: Progress
+) -> tuple[list[ElementMovement], ElementMovement]:
+    """Solutions of all elements, and the solution to be rendered: that of the selected element with weighted rays."""
+    solutions = solve_all_elements(config, bench, instrument, direction, progress)
+    selected = select_element(config, bench, instrument.camera.lens, solutions)
+    refined = solve_perturbation(
+        bench,
+        instrument,
+        direction,
+        element=selected.element,
+        kind=selected.kind,
+        pair=config.pair,
+        axis="xy".index(config.decentre.axis),
+        wanted_px=config.decentre.wanted_px,
+    )
+    return [refined if solution is selected else solution for solution in solutions], refined
+
+
+def solve_all_elements(
     config: ChromaticConfig, bench: Bench, instrument: Instrument, direction: FloatArray, progress: Progress
 ) -> list[ElementMovement]:
-    """Every element, decentred and tilted; rays weigh alike, which changes a movement by some 1 %."""
+    """Every element, decentred and tilted; rays have equal weights, which changes a solution by about 1 %."""
     moves = [(element, kind) for kind in LIMIT for element in instrument.camera.lens.elements]
     return [
         solve_perturbation(
@@ -117,34 +136,36 @@ def solve_perturbation(
     wanted_px: float,
     weighted: bool = True,
 ) -> ElementMovement:
-    """Movement of one element for which the entry of one pair of bands reaches a value.
+    """Misalignment of one element for which the entry of one pair of bands is ``wanted_px``.
 
-    ``weighted``: each ray counts by the transmission of its own path, which takes seconds in place of tenths.
+    ``weighted``: rays are weighted by the transmission along their path, which takes seconds in place of tenths.
     """
     lens = instrument.camera.lens
     stars = point_field(bench, instrument, direction.reshape(-1, 3))
 
-    def means(amount: float, losses: PathLosses | None) -> FloatArray:
+    def mean_positions_px(amount: float, losses: PathLosses | None) -> FloatArray:
         moved = moved_element(lens, element, kind, axis, amount)
         mean_px = bundle_means(replace(instrument.camera, lens=moved, losses=losses), stars)
         return mean_px.reshape(*direction.shape[:2], len(bench.filters), 2)
 
     def excess(amount: float, losses: PathLosses | None = None) -> float:
-        return float(table1(shifts(means(amount, losses), bench.pairs)[pair])[axis]) - wanted_px
+        return float(table1(shifts(mean_positions_px(amount, losses), bench.pairs)[pair])[axis]) - wanted_px
 
     weights = instrument.camera.losses if weighted else None
-    amount, centred_px = smallest_movement(excess, LIMIT[kind]), means(0.0, weights)
+    centred_px = mean_positions_px(0.0, weights)
+    amount = smallest_movement(excess, LIMIT[kind])
     if np.isfinite(amount) and weights is not None:
         amount = refined_movement(partial(excess, losses=weights), excess, amount, REFINED_PX)
-    moved_px = means(amount, weights) if np.isfinite(amount) else np.full_like(centred_px, np.nan)
+    moved_px = mean_positions_px(amount, weights) if np.isfinite(amount) else np.full_like(centred_px, np.nan)
     entries = np.array([table1(shift) for shift in shifts(moved_px, bench.pairs).values()])
     boresight = (moved_px - centred_px)[:, :, bench.reference].mean((0, 1))
-    shown = f"{amount * 1e3:+.0f} µm" if kind == "decentre" else f"{amount * 60.0:+.1f} arcmin"
-    verb, shown = {"decentre": "decentred", "tilt": "tilted"}[kind], shown.replace("-", "\N{MINUS SIGN}")
+    amount_text = f"{amount * 1e3:+.0f} µm" if kind == "decentre" else f"{amount * 60.0:+.1f} arcmin"
+    amount_text = amount_text.replace("-", "\N{MINUS SIGN}")
+    verb = {"decentre": "decentred", "tilt": "tilted"}[kind]
     return ElementMovement(
         element=element,
         kind=kind,
-        movement=f"{verb} {shown}" if np.isfinite(amount) else f"{verb}: not within reach",
+        movement=f"{verb} {amount_text}" if np.isfinite(amount) else f"{verb}: not within reach",
         amount=amount * UNIT[kind],
         unit={"decentre": "um", "tilt": "arcmin"}[kind],
         table1_px=entries,
@@ -154,39 +175,47 @@ def solve_perturbation(
     )
 
 
-def choose(
+def select_element(
     config: ChromaticConfig, bench: Bench, lens: LensSystem, solutions: Sequence[ElementMovement]
 ) -> ElementMovement:
-    """The configured element, or the one whose movement of the wanted kind is smallest."""
-    wanted = config.decentre
+    """The configured element, or the one with the smallest misalignment of the configured kind.
+
+    Raises
+    ------
+    ConvergenceError
+        If no element gives the required entry within `LIMIT`.
+    DomainError
+        If the image shifts by more than the search for the target points can follow.
+    """
+    required = config.decentre
     candidates = [
         solution
         for solution in solutions
-        if solution.kind == wanted.kind
-        and wanted.element in ("auto", solution.element)
+        if solution.kind == required.kind
+        and required.element in ("auto", solution.element)
         and np.isfinite(solution.amount)
     ]
     if not candidates:
-        subject = "any element" if wanted.element == "auto" else f"element {wanted.element}"
-        limit = "3 mm" if wanted.kind == "decentre" else "3 deg"
+        subject = "any element" if required.element == "auto" else f"element {required.element}"
+        limit = "3 mm" if required.kind == "decentre" else "3 deg"
         if not lens.glasses:
             raise ConvergenceError(
                 f"lens {lens.name!r} has no glass, hence no chromatic shift: no movement gives a mean shift of "
-                f"decentre.wanted_px = {wanted.wanted_px:g} px; set decentre.wanted_px = 0"
+                f"decentre.wanted_px = {required.wanted_px:g} px; set decentre.wanted_px = 0"
             )
         raise ConvergenceError(
-            f"no {wanted.kind} of {subject} up to {limit} gives a mean shift of decentre.wanted_px = "
-            f"{wanted.wanted_px:g} px in {config.pair}, {wanted.axis}; lower it, or choose another "
+            f"no {required.kind} of {subject} up to {limit} gives a mean shift of decentre.wanted_px = "
+            f"{required.wanted_px:g} px in {config.pair}, {required.axis}; lower it, or choose another "
             "decentre.element or decentre.kind"
         )
-    chosen = min(candidates, key=lambda solution: abs(solution.amount))
-    shift_px = float(np.abs(chosen.boresight_px).max())
+    selected = min(candidates, key=lambda solution: abs(solution.amount))
+    shift_px = float(np.abs(selected.boresight_px).max())
     margin_px = min(float(SEARCH_MARGIN_PX), bench.target.edge_px - bench.window_px // 2 - 1)
     if shift_px > margin_px:
         raise DomainError(
-            f"a mean shift of decentre.wanted_px = {wanted.wanted_px:g} px needs a {chosen.kind} of "
-            f"{chosen.element} by {chosen.amount:.0f} {chosen.unit}, which moves the whole image by {shift_px:.0f} px; "
-            f"at most {margin_px:.0f} px can be followed (target.edge_px = {bench.target.edge_px:g} px, and "
-            f"{SEARCH_MARGIN_PX} px in any case): lower decentre.wanted_px or name another decentre.element"
+            f"a mean shift of decentre.wanted_px = {required.wanted_px:g} px needs a {selected.kind} of "
+            f"{selected.element} by {selected.amount:.0f} {selected.unit}, which moves the whole image by "
+            f"{shift_px:.0f} px; at most {margin_px:.0f} px can be followed (target.edge_px = "
+            f"{bench.target.edge_px:g} px, and {SEARCH_MARGIN_PX} px in any case): lower decentre.wanted_px or name another decentre.element"
         )
-    return chosen
+    return selected

@@ -18,13 +18,13 @@ from render.sensor_file.tables import FilterConfig, InstrumentConfig, PassbandCo
 
 
 class DecentreConfig(StrictModel):
-    """Published number that a displaced element has to reproduce."""
+    """Entry of ACC18 Table 1 that a decentred or tilted element has to reproduce."""
 
     wanted_px: float = Field(
-        default=0.12, ge=-100, le=100, description="wanted entry of ACC18 Table 1 (half the mean shift); 0: no search"
+        default=0.12, ge=-100, le=100, description="required entry of ACC18 Table 1 (half the mean shift); 0: no search"
     )
     pair: str = Field(
-        default="auto", description="pair of bands, such as 800-600; auto: the longest minus the reference"
+        default="auto", description="pair of bands, such as 800-600; auto: the reference and the longest of the others"
     )
     axis: Literal["x", "y"] = Field(default="x", description="axis of Table 1")
     element: str = Field(
@@ -35,7 +35,7 @@ class DecentreConfig(StrictModel):
 
 
 class ChromaticConfig(OwnFramesConfig, SignalConfig):
-    """The published run; ACC18 does not state signal, pass band of the stars and lens."""
+    """Defaults: the test of ACC18, which states neither signal nor pass band of the stars nor lens."""
 
     instrument: InstrumentConfig = InstrumentConfig()
     target: TargetConfig = TargetConfig()
@@ -69,7 +69,7 @@ class ChromaticConfig(OwnFramesConfig, SignalConfig):
 
     @property
     def pair(self) -> str:
-        """Pair of bands of the wanted shift, as in `band_pairs`."""
+        """Pair of bands of the required shift, as in `band_pairs`."""
         if self.decentre.pair != "auto":
             return self.decentre.pair
         reference = self.filters.reference_nm

@@ -1,4 +1,8 @@
-"""Stars through the full pass band: their colour shift, against ACC18's rule of one third."""
+"""Shift of stars with their colour through the full pass band, against ACC18's rule of one third.
+
+The rule (ACC18 section 1.4.1): sigma of a star's chromatic shift is e_pair / 3, with e_pair the largest entry of Table
+1, half the mean shift between two filters.
+"""
 
 from __future__ import annotations
 
@@ -18,13 +22,13 @@ from render.sensor_file.instrument import Instrument
 
 NODES = 48
 """Wavelength nodes over the full pass band."""
-ORDER = (5, 12)
-"""Rings and azimuths in the pupil."""
+PUPIL_SAMPLING = (5, 12)
+"""Rings and arms of the pupil quadrature."""
 
 
 def stellar_shift(config: StarsConfig, band: Band, instrument: Instrument) -> tuple[FloatArray, FloatArray]:
-    """Field points, unit vectors (g, 3) in cam, and photocentres of stars of every temperature minus that of the
-    reference star there, (t, g, 2) [px]; by ray trace."""
+    """Unit vectors (g, 3) of field points in the camera frame, and photocentres (t, g, 2) [px] of stars of every
+    temperature minus that of the reference star at the same point; by ray trace."""
     camera = instrument.camera
     fraction = (np.arange(config.grid) + 0.5) / config.grid
     x, y = np.meshgrid(fraction * camera.width_px - 0.5, fraction * camera.height_px - 0.5)
@@ -39,13 +43,14 @@ def stellar_shift(config: StarsConfig, band: Band, instrument: Instrument) -> tu
         response=response,
         temperature_k=config.temperatures_k,
         reference_k=config.reference_k,
-        order=ORDER,
+        order=PUPIL_SAMPLING,
     )
-    return direction, shift_mm * [1.0, -1.0] / camera.pixel_pitch_mm
+    row_against_y = [1.0, -1.0]  # rows increase against y of the lens
+    return direction, shift_mm * row_against_y / camera.pixel_pitch_mm
 
 
-def most_different_px(shift_px: FloatArray) -> float:
-    """RMS distance over the field of the two stars that differ most, independent of the reference."""
+def max_pairwise_rms_px(shift_px: FloatArray) -> float:
+    """Largest RMS distance over the field between two of the stars; it does not depend on the reference star."""
     difference = shift_px[:, None] - shift_px[None]
     return float(np.sqrt((difference**2).sum(-1).mean(-1)).max())
 
@@ -58,24 +63,24 @@ class StellarShifts:
     mean_shift_length_px: FloatArray = col("Mean over the field", "px", ".4f", "temperature_k")
     max_shift_px: FloatArray = col("Largest in the field", "px", ".4f", "temperature_k")
     mean_shift_px: FloatArray = col("Mean shift", "px", ".4f", "temperature_k component")
-    most_different_rms_px: float = col("RMS distance of the two most different stars", "px", ".4f", shown=False)
-    # Half of the shift between filters at the same places, RMS over the field, of the pair that differs most
+    max_pairwise_rms_px: float = col("RMS distance of the two most different stars", "px", ".4f", shown=False)
+    # Half the RMS shift between filters over the same field positions, largest pair
     half_filter_shift_px: float = col("Half the RMS shift between filters", "px", ".4f", shown=False)
     one_third_rule_px: float = col("One third rule", "px", ".3f", shown=False)
 
 
-def stars_of(shift_px: FloatArray, filter_shift_px: Sequence[FloatArray]) -> StellarShifts:
-    """Statistics over the field of star shifts (t, g, 2), and of filter shifts (g, 2) by pair at the same places."""
-    half = max(np.sqrt((pair_shift**2).sum(-1).mean()) for pair_shift in filter_shift_px) / 2.0
-    mean = shift_px.mean(1)
+def stellar_shift_statistics(shift_px: FloatArray, filter_shift_px: Sequence[FloatArray]) -> StellarShifts:
+    """Statistics over g field positions of star shifts (t, g, 2), and of the filter shifts (g, 2) of every pair."""
+    half_filter_shift_px = max(np.sqrt((pair_shift**2).sum(-1).mean()) for pair_shift in filter_shift_px) / 2.0
+    mean_px = shift_px.mean(1)
     return StellarShifts(
         rms_shift_px=np.sqrt((shift_px**2).sum(2).mean(1)),
-        mean_shift_length_px=np.hypot(*mean.T),
+        mean_shift_length_px=np.hypot(*mean_px.T),
         max_shift_px=np.hypot(*np.moveaxis(shift_px, 2, 0)).max(1),
-        mean_shift_px=mean,
-        most_different_rms_px=most_different_px(shift_px),
-        half_filter_shift_px=float(half),
-        one_third_rule_px=float(half) / 3.0,
+        mean_shift_px=mean_px,
+        max_pairwise_rms_px=max_pairwise_rms_px(shift_px),
+        half_filter_shift_px=float(half_filter_shift_px),
+        one_third_rule_px=float(half_filter_shift_px) / 3.0,
     )
 
 

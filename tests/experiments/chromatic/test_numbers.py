@@ -11,12 +11,12 @@ from refusals import refuses
 from calib.accuracy.chromatic import band_pairs
 from experiments.chromatic.experiment import (
     LensTest,
-    calibration,
-    centroiders,
-    points,
+    calibrate_bands,
+    compare_centroiders,
     table1_entries,
+    tabulate_point_shifts,
 )
-from experiments.chromatic.perturbation import choose
+from experiments.chromatic.perturbation import select_element
 from experiments.chromatic.settings import ChromaticConfig
 from experiments.laboratory.chromatic_error import ChromaticMeasurement
 from optics.errors import ConvergenceError, DomainError
@@ -31,7 +31,7 @@ def solution(element, kind, amount, moves=5.0):
 def chosen(*solutions, glasses=("N-BK7",), edge_px=150.0, **changes):
     config = ChromaticConfig.model_validate({"decentre": changes})
     bench = SimpleNamespace(target=SimpleNamespace(edge_px=edge_px), window_px=13)
-    return choose(config, bench, SimpleNamespace(name="lens", glasses=glasses), solutions)
+    return select_element(config, bench, SimpleNamespace(name="lens", glasses=glasses), solutions)
 
 
 def test_the_element_that_moves_least_is_taken():
@@ -130,17 +130,19 @@ def test_other_numbers_of_one_lens():
         cells[..., 1], [[0.0] * 2, [0.01 * np.sqrt(24 / 23) / np.sqrt(24) / 2.0] * 2], atol=1e-12
     )
     shift = np.hypot(*(BANDS_PX[2] - BANDS_PX[1]))
-    found = calibration(this)
+    residuals = calibrate_bands(this)
     # an offset: a principal point for the band takes all of it, a focal length nothing of a symmetric target
-    assert found.traced_residual_px[1] == pytest.approx([shift, 0.0, shift, 0.0], abs=1e-9)
-    assert found.residual_px[1] == pytest.approx(found.traced_residual_px[1], abs=4.0 * SIGMA_PX / np.sqrt(FRAMES))
-    by = centroiders(this, 1)
+    assert residuals.traced_residual_px[1] == pytest.approx([shift, 0.0, shift, 0.0], abs=1e-9)
+    assert residuals.residual_px[1] == pytest.approx(
+        residuals.traced_residual_px[1], abs=4.0 * SIGMA_PX / np.sqrt(FRAMES)
+    )
+    by = compare_centroiders(this, 1)
     assert by.noise_px == pytest.approx([SIGMA_PX, 0.3])
     assert by.rms_error_px == pytest.approx([SIGMA_PX / np.sqrt(FRAMES), 0.02], rel=0.3)
     assert by.rms_error_px[1] == pytest.approx(0.02)
     np.testing.assert_allclose(by.table1_px[1], one.predicted_px, atol=1e-12)
     np.testing.assert_array_equal(by.mean_shift_px, by.table1_px[..., 1])
-    rows = points(this)
+    rows = tabulate_point_shifts(this)
     assert rows.nominal_px.shape == (24, 2)
     np.testing.assert_allclose(rows.predicted_shift_px[1], np.tile(BANDS_PX[2] - BANDS_PX[1], (24, 1)), atol=1e-12)
     assert rows.measured_shift_px[0][5][1].uncertainty == pytest.approx(SIGMA_PX * np.sqrt(2.0 / FRAMES))

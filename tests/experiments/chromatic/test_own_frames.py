@@ -37,7 +37,7 @@ def reduced(monkeypatch, every, **settings):
     frames = SimpleNamespace(reference_nm=None, pixel_arcsec=5.5, **settings)
     folder = SimpleNamespace(series=every, settings=frames, centre_px=np.array([500.0, 500.0]))
     config = SimpleNamespace(filters=SimpleNamespace(reference_nm=600.0))
-    return own_frames.reduce(folder, ("cog",), config)[1]
+    return own_frames.reduce_filters(folder, ("cog",), config)[1]
 
 
 def test_a_wedge_is_told_from_the_lens_by_filters_that_were_turned(monkeypatch):
