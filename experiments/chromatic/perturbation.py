@@ -216,6 +216,7 @@ def select_element(
             f"a mean shift of decentre.wanted_px = {required.wanted_px:g} px needs a {selected.kind} of "
             f"{selected.element} by {selected.amount:.0f} {selected.unit}, which moves the whole image by "
             f"{shift_px:.0f} px; at most {margin_px:.0f} px can be followed (target.edge_px = "
-            f"{bench.target.edge_px:g} px, and {SEARCH_MARGIN_PX} px in any case): lower decentre.wanted_px or name another decentre.element"
+            f"{bench.target.edge_px:g} px, and {SEARCH_MARGIN_PX} px in any case): "
+            "lower decentre.wanted_px or name another decentre.element"
         )
     return selected
