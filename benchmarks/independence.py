@@ -217,7 +217,10 @@ COMPARISONS = (
         experiment="turntable",
         what="error of the line-of-sight map against its bound",
         predicted=("calib.calibration.table_bound:table_bound",),
-        measured=("experiments.turntable.monte_carlo:monte_carlo", "experiments.turntable.experiment:calibrations"),
+        measured=(
+            "experiments.turntable.monte_carlo:monte_carlo",
+            "experiments.turntable.experiment:calibrate_rendered",
+        ),
     ),
     Comparison(
         experiment="fisher",
@@ -230,7 +233,7 @@ COMPARISONS = (
             "calib.calibration.star_bench:design_star_last",
             "experiments.fisher.accuracy:_expected",
         ),
-        measured=("experiments.fisher.accuracy:rendered",),
+        measured=("experiments.fisher.accuracy:run_rendered",),
     ),
     Comparison(
         experiment="cube",

@@ -220,25 +220,30 @@ def draw_truths(config: CubeMirrorConfig, streams: Streams) -> list[TrueBench]:
     All random numbers are stratified over the benches (Latin hypercube; McKay, Beckman & Conover 1979): each has its
     distribution to 1/count, at any count, so that the scatter of the inputs does not add to the scatter of the results.
     """
-    count, faces = config.benches.count, len(config.cube.faces) * config.cube.repeats
+    count = config.benches.count
+    faces = len(config.cube.faces) * config.cube.repeats
     generator = streams.generator("benches")
 
     def normals(size: int) -> FloatArray:
         return stratified_normal(generator, count, size)
 
     shape = (count, len(config.cube.faces), config.cube.repeats, 2)
-    mount, sensor_mount, square = normals(3), normals(3), normals(12)
+    mount = normals(3)
+    sensor_mount = normals(3)
+    face_tilts = normals(12)
     start = 2 * stratified(generator, count, 2 * faces).reshape(shape) - 1
-    aim, mounting = normals(2 * faces).reshape(shape), normals(2 * faces).reshape(shape)
-    non_orthogonality, build = normals(1)[:, 0], normals(3)
+    aim = normals(2 * faces).reshape(shape)
+    mounting = normals(2 * faces).reshape(shape)
+    non_orthogonality = normals(1)[:, 0]
+    sensor_build = normals(3)
     detector = sun_sensor(config)
     return [
         TrueBench(
             number=i,
             table_from_cube=NOMINAL_CUBE @ small_rotation(mount[i] * config.cube.mount_arcmin * 60),
-            normal=_tilted_normals(square[i].reshape(6, 2) * config.cube.square_arcsec),
+            normal=_tilted_normals(face_tilts[i].reshape(6, 2) * config.cube.square_arcsec),
             sensor_from_table=small_rotation(sensor_mount[i] * config.sensor.mount_arcmin * 60),
-            sensor=mask_sensor(config, detector, build[i]),
+            sensor=mask_sensor(config, detector, sensor_build[i]),
             start=start[i],
             aim=aim[i],
             mounting=mounting[i],

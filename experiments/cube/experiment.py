@@ -62,7 +62,7 @@ class CubeSetup:
     error_per_beam_y: FloatArray = col("Error of R_sp per beam in y", dims="component")
 
 
-def setup(laboratory: CubeLaboratory, cases: Mapping[str, CaseResult], rows: Sequence[BudgetRow]) -> CubeSetup:
+def describe_setup(laboratory: CubeLaboratory, cases: Mapping[str, CaseResult], rows: Sequence[BudgetRow]) -> CubeSetup:
     """Results of all benches, and sizes of the bench."""
     geometry = laboratory.geometry
     sensor = perfect_sensor(laboratory)
@@ -126,8 +126,8 @@ class CubeNoise:
     r_sr_improved_arcsec: FloatArray = col("Part of R_sr, improved reduction", "arcsec", ".2f", "axis")
 
 
-def noise(laboratory: CubeLaboratory, cases: Mapping[str, CaseResult], pictures: PictureNoise) -> CubeNoise:
-    """Prediction against the errors of all benches."""
+def compare_noise(laboratory: CubeLaboratory, cases: Mapping[str, CaseResult], pictures: PictureNoise) -> CubeNoise:
+    """Predicted noise of R_sr and of an offset, against the errors of all benches."""
     reading, improved = cases["reading"], cases["improved"]
     predicted = sensor_noise(laboratory, reading=True, fit_non_orthogonality=False)
     sigma = np.sqrt(np.diag(predicted.covariance_rad2)) * RAD_ARCSEC
@@ -294,10 +294,10 @@ def run(config: CubeMirrorConfig, *, progress: Progress) -> dict[str, Any]:
         pictures = picture_noise(laboratory)
         rows = build_budget(laboratory, cases, pictures)
     return {
-        "setup": setup(laboratory, cases, rows),
+        "setup": describe_setup(laboratory, cases, rows),
         "budget": rows,
         "benches": [case_errors(case) for case in cases.values()],
-        "noise": noise(laboratory, cases, pictures),
+        "noise": compare_noise(laboratory, cases, pictures),
         "example": example_bench(laboratory, truths[0], bench, cache.runs[performed.non_orthogonal]),
         "trims": trims_of(bench),
     }

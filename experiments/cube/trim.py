@@ -1,4 +1,4 @@
-"""Trimming of a face until spot and aperture are concentric: pictures, circle fits, and the operator (CUBE09, step 2).
+"""Adjustment of a face until spot and aperture are concentric: pictures, circle fits, operator (CUBE09, step 2).
 
 Two pictures, as published: first the reflected light is blocked and the aperture is imaged (here glowing behind a sheet
 of tracing paper); then the light is admitted and the spot is imaged around the hole. The spot is as wide as the
@@ -38,8 +38,8 @@ from render.engine.random import Streams
 
 INNER_MARGIN_PX = 2.0
 """Margin of the hole of the aperture, inside of which no particles are traced."""
-ROUGH_PX, ROUGH_LOG2 = 3.0, 2
-"""Expected offset above which a picture has a quarter of the particles: a further trim follows."""
+COARSE_OFFSET_PX, COARSE_LOG2 = 3.0, 2
+"""Expected offset above which a picture has a quarter of the particles (2^-2), because another setting follows."""
 
 BETTER_LIGHT = "is it in the picture and bright enough? (camera.plateau_e, simulator.source_arcmin, trim.start_px)"
 
@@ -68,7 +68,7 @@ class FaceTrim:
     pictures: tuple[ScreenPicture, ...] = ()  # Aperture, first spot, last spot; on request
 
 
-def exposed(laboratory: CubeLaboratory, electrons: NDArray[np.float32], streams: Streams) -> ScreenPicture:
+def expose(laboratory: CubeLaboratory, electrons: NDArray[np.float32], streams: Streams) -> ScreenPicture:
     """Picture of expected electrons (h, w): noise of light and detector, read out."""
     exposure_s = laboratory.config.camera.exposure_s
     read = screen_picture(electrons, laboratory.detector, streams, exposure_s)
@@ -87,7 +87,7 @@ def take_spot(
     light = laboratory.light(
         sensor, covered=False, log2_particles=log2_particles, seed=streams.key("particles") >> 1, inner_mm=inner_mm
     )
-    return exposed(laboratory, light, streams.child("spot"))
+    return expose(laboratory, light, streams.child("spot"))
 
 
 def displaced_sensor(laboratory: CubeLaboratory, shift_mm: FloatArray) -> Any:
@@ -113,7 +113,7 @@ def trim_face(
     config, name = laboratory.config, laboratory.config.cube.faces[face]
     movement_rad = case.mounting * config.camera.mounting_arcsec * ARCSEC_RAD * truth.mounting[face, repeat]
     sensor = displaced_sensor(laboratory, movement_rad * laboratory.geometry.path_mm)
-    glowing = exposed(laboratory, laboratory.aperture_e, streams.child("aperture"))
+    glowing = expose(laboratory, laboratory.aperture_e, streams.child("aperture"))
     aperture = fit_aperture(glowing, laboratory.geometry.aperture_mm / 2, advice=BETTER_LIGHT)
     expected_px = _start_px(config, case)
     commanded = start_angles(laboratory, truth, table, face, repeat, within_px=expected_px)
@@ -123,7 +123,7 @@ def trim_face(
         setting_streams = streams.child("setting", setting)
         actual = table.set(commanded[None], setting_streams)
         pose = put_cube(laboratory, truth, table.rotation(actual)[0].as_matrix())
-        particles = log2_particles - (ROUGH_LOG2 if expected_px > ROUGH_PX else 0)
+        particles = log2_particles - (COARSE_LOG2 if expected_px > COARSE_OFFSET_PX else 0)
         picture = _spot_picture(laboratory, pose, name, setting_streams, sensor=sensor, log2_particles=particles)
         spot = fit_spot(picture, aperture, spot_reach_mm(laboratory), advice=BETTER_LIGHT)
         offset = measure_offset(aperture, spot, laboratory.pitch_mm)

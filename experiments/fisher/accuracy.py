@@ -88,7 +88,7 @@ CAUSES = {
 }
 ANGLES = ("calibrated", "data sheet", "field over pixels")
 """Angles per pixel that the pixel method may assume."""
-LONGEST_SMEAR_PX = 40.0
+MAX_SMEAR_PX = 40.0
 PATH_PER_PX = 4
 """Instants per pixel of the streak by which a PSF is smeared."""
 EXTRA_PSF_PX = 2
@@ -118,10 +118,10 @@ def check_config(config: FisherConfig) -> Instrument:
     grid_px(config, instrument)
     evaluation_px(config, instrument)
     build_star(config, instrument)
-    if (smear := smear_px(_motion(config), instrument)) > LONGEST_SMEAR_PX:
+    if (smear := smear_px(_motion(config), instrument)) > MAX_SMEAR_PX:
         raise ConfigError(
             f"dynamic.rate_deg_per_s = {config.dynamic.rate_deg_per_s:g} deg/s smears the image over {smear:.0f} px in "
-            f"{config.instrument.exposure_s:g} s; at most {LONGEST_SMEAR_PX:g} px: lower it or instrument.exposure_s"
+            f"{config.instrument.exposure_s:g} s; at most {MAX_SMEAR_PX:g} px: lower it or instrument.exposure_s"
         )
     if config.dynamic.samples < smear:
         raise ConfigError(
@@ -163,9 +163,11 @@ class CalibratedBench:
 
     @property
     def commanded(self) -> FloatArray:
-        """Directions (n, 3) in cam of the places of the evaluation."""
-        place = evaluation_px(self.config, self.instrument)
-        return self.instrument.camera.nominal_direction(place[:, 0], place[:, 1], self.instrument.focal_length_mm)
+        """Directions (n, 3) in cam of the positions of the evaluation."""
+        position_px = evaluation_px(self.config, self.instrument)
+        return self.instrument.camera.nominal_direction(
+            position_px[:, 0], position_px[:, 1], self.instrument.focal_length_mm
+        )
 
     def window_px(self, motion: TableMotion) -> int:
         """Side of a window for the streak, with the margin of a window at rest."""
@@ -195,17 +197,19 @@ def calibrate_bench(config: FisherConfig, instrument: Instrument, streams: Strea
 def _joint_calibration(
     data: PoseData, table: Turntable, config: FisherConfig, instrument: Instrument, name: str
 ) -> Calibration:
-    """Start: focal length of the data sheet, direction of the simulator rounded to degrees."""
+    """Fit that starts from the focal length of the data sheet and the star's direction rounded to degrees."""
     start_star = star_direction(round(config.star.azimuth_deg), round(config.star.elevation_deg))
     calibration = calibrate_on_table(data, table, start_model(instrument, None), leans=True, start_star=start_star)
     check_fit(calibration, name, ADVICE)
     return calibration
 
 
-def acquisition(calibrated: CalibratedBench, name: str, motion: TableMotion, psfs: FloatArray) -> Acquisition:
+def acquire_frames(calibrated: CalibratedBench, name: str, motion: TableMotion, psfs: FloatArray) -> Acquisition:
     """A frame and a reading at every position of the evaluation."""
-    config, streams = calibrated.config, calibrated.streams.child(name)
-    commanded, rolls = calibrated.commanded, np.radians(config.table.rolls_deg)
+    config = calibrated.config
+    streams = calibrated.streams.child(name)
+    commanded = calibrated.commanded
+    rolls = np.radians(config.table.rolls_deg)
     roll = rolls[np.arange(len(commanded)) % len(rolls)]
     places = visit_once(calibrated.true_bench, commanded, roll, motion, config.evaluation.columns, streams)
     return acquire(
@@ -247,12 +251,12 @@ class AcquisitionAccuracy:
     sigma_arcsec: Measured = col("σ per axis", "arcsec")
     sigma_interval_95_arcsec: Sequence[float] = col("95 %", "arcsec", ".4f", "end")
     sigma_predicted_arcsec: float = col("Predicted", "arcsec", ".4f")
-    deviation_sigma: float = col("Deviation", "sigma", "+.2f")  # By the distribution of the sum of squared chords
+    deviation_sigma: float = col("Deviation", "sigma", "+.2f")  # z score of the sum of squared chords
     # Deviation for an error of 100 % of the standard deviation, to first order
     full_deviation_sigma: float = col("Deviation for an error of 100 %", "sigma", ".1f", shown=False)
-    # Readings and clocks of the table subtracted in quadrature; NaN where they exceed the measured value
+    # Predicted errors of readings and clocks subtracted in quadrature; NaN if they exceed the measured value
     sigma_without_table_arcsec: float = col("σ less table", "arcsec", ".4f")
-    # Uncertainty: scatter of the ratio from covariances; both methods share the noise
+    # The uncertainty is the scatter predicted for two methods on the same frames, hence with the same noise
     pixel_method_ratio: Measured = col("Pixel / Fisher", "", ".4f")
     pixel_method_ratio_predicted: float = col("Pixel / Fisher, predicted", "", ".4f")
     streak_px: float = col("Streak", "px", ".1f", shown=False)
@@ -273,11 +277,12 @@ class AcquisitionAccuracy:
     offset_arcsec: FloatArray = col("Star vectors about their mean", "arcsec", dims="vector axis", shown=False)
 
 
-def accuracy(
+def evaluate_acquisition(
     calibrated: CalibratedBench, acquired: Acquisition
 ) -> tuple[AcquisitionAccuracy, dict[str, float], dict[str, float]]:
-    """Steps S300 to S500 of an acquisition; scatter by cause, expected and realised."""
-    motion, angle = acquired.places.motion, acquired.places.reading_rad
+    """Steps S300 to S500 of an acquisition; its scatter by cause, expected and realised."""
+    motion = acquired.places.motion
+    angle = acquired.places.reading_rad
     probability = calibrated.config.evaluation.outlier_probability
     measured = _evaluated(
         calibrated.model, calibrated.bench, acquired.position_px, angle, outlier_probability=probability
@@ -286,14 +291,15 @@ def accuracy(
     predicted, expected = _expected(calibrated, acquired, causes)
     noise = sum(causes.values(), np.zeros_like(acquired.covariance_px2))
     by_pixel = star_vector_by_pixel(calibrated.model, calibrated.bench, angle)
-    angles, n, fit = _angles_per_pixel(calibrated), measured.fit.count, measured.fit
+    pixel_angles = _angles_per_pixel(calibrated)
+    fit = measured.fit
     without_table2 = measured.sigma_arcsec**2 - expected["table"] ** 2
-    ratio = measured.pixel_method_arcsec(angles["calibrated"]) / measured.sigma_arcsec
-    # with a rolled camera the methods subtract different means: a relative difference of some 1/n
-    scatter = np.hypot(pixel_method_scatter(by_pixel, noise), 1.0 / n if angle.shape[1] > 2 else 0.0)
+    ratio = measured.pixel_method_arcsec(pixel_angles["calibrated"]) / measured.sigma_arcsec
+    # With a rolled camera the methods subtract different means: their sigmas differ by some 1/n
+    scatter = np.hypot(pixel_method_scatter(by_pixel, noise), 1.0 / fit.count if angle.shape[1] > 2 else 0.0)
     return (
         AcquisitionAccuracy(
-            n=n,
+            n=fit.count,
             sigma_arcsec=_sigma(measured),
             sigma_interval_95_arcsec=measured.interval_arcsec(),
             sigma_predicted_arcsec=predicted.sigma_arcsec,
@@ -313,7 +319,7 @@ def accuracy(
             unmeasured=acquired.lost,
             effective_degrees_of_freedom=measured.effective_degrees,
             sigma_interval_95_effective_arcsec=measured.effective_interval_arcsec(),
-            pixel_method_arcsec=np.array([measured.pixel_method_arcsec(angle) for angle in angles.values()]),
+            pixel_method_arcsec=np.array([measured.pixel_method_arcsec(angle) for angle in pixel_angles.values()]),
             offset_arcsec=_offsets(measured, len(calibrated.commanded)),
         ),
         expected,
@@ -335,7 +341,7 @@ def _sigma(measured: VectorAccuracy) -> Measured:
 
 
 def _offsets(measured: VectorAccuracy, count: int) -> FloatArray:
-    """Vectors about their mean (count, 2); rows of NaN make up for positions without a centroid."""
+    """Vectors about their mean (count, 2), filled with rows of NaN for the positions without a centroid."""
     offset = np.full((count, 2), np.nan)
     offset[: len(measured.vectors)] = tangent_plane(measured.vectors, measured.fit.mean) * RAD_ARCSEC
     return offset
@@ -343,7 +349,9 @@ def _offsets(measured: VectorAccuracy, count: int) -> FloatArray:
 
 def _noise(calibrated: CalibratedBench, acquired: Acquisition) -> dict[str, FloatArray]:
     """Covariances of the images by centroids, readings of the table and clocks."""
-    model, bench, motion = calibrated.model, calibrated.bench, acquired.places.motion
+    model = calibrated.model
+    bench = calibrated.bench
+    motion = acquired.places.motion
     angle = acquired.places.reading_rad
     return {
         "centroids": acquired.covariance_px2,
@@ -373,9 +381,9 @@ def _realised(calibrated: CalibratedBench, acquired: Acquisition) -> dict[str, f
     measured = star_vectors(*bench, acquired.position_px, places.reading_rad)
     rays = star_vectors(*bench, acquired.bundle_px, places.reading_rad)
     truth = star_vectors(*bench, acquired.bundle_px, places.true_rad)
-    parts = {"centroids": measured - rays, "table": rays - truth, "calibration": truth}
-    # two of the three components of a vector scatter
-    return {name: float(np.sqrt(part.var(0, ddof=1).sum() / 2) * RAD_ARCSEC) for name, part in parts.items()}
+    errors = {"centroids": measured - rays, "table": rays - truth, "calibration": truth}
+    # A unit vector scatters in two of its three components
+    return {name: float(np.sqrt(error.var(0, ddof=1).sum() / 2) * RAD_ARCSEC) for name, error in errors.items()}
 
 
 def _expected_pixel_method_ratio(model: CameraModel, pixel_px: FloatArray, noise_px2: FloatArray) -> float:
@@ -430,15 +438,19 @@ class FisherSetup:
     pixel_angle_arcsec: FloatArray = col("Angle per pixel", "arcsec", ".5f", "source")
 
 
-def same_data(calibrated: CalibratedBench, acquired: Acquisition) -> SameData:
+def evaluate_calibration_data(calibrated: CalibratedBench, acquired: Acquisition) -> SameData:
     """Calibrate with the evaluated data, and evaluate them with the result."""
-    angle, count = acquired.places.reading_rad, len(acquired.places)
+    angle = acquired.places.reading_rad
+    count = len(acquired.places)
     data = PoseData(pixel_px=acquired.position_px, covariance_px2=acquired.covariance_px2, reading_rad=angle)
-    name, table = "joint calibration with the vectors' own data", calibrated.nominal_table
+    name = "joint calibration with the evaluated data"
+    table = calibrated.nominal_table
     calibration = _joint_calibration(data, table, calibrated.config, calibrated.instrument, name)
-    model, bench = calibration.model, calibrated_bench(calibration, table)
+    model = calibration.model
+    bench = calibrated_bench(calibration, table)
     noise = data.covariance_px2 + reading_covariance_px2(model, bench, angle)
-    by_pixel, unknowns = star_vector_by_pixel(model, bench, angle), len(calibration.solution.names)
+    by_pixel = star_vector_by_pixel(model, bench, angle)
+    unknowns = len(calibration.solution.names)
     naive, corrected = (
         _evaluated(
             model, bench, data.pixel_px, angle, outlier_probability=None, degrees_of_freedom=freedom
@@ -453,8 +465,8 @@ def same_data(calibrated: CalibratedBench, acquired: Acquisition) -> SameData:
     )
 
 
-def setup(calibrated: CalibratedBench) -> FisherSetup:
-    """Light and lens."""
+def describe_setup(calibrated: CalibratedBench) -> FisherSetup:
+    """Lens, and signals of the calibration and of the evaluation."""
     calibration = star_signal(calibrated.config, calibrated.instrument, None)
     evaluation = star_signal(calibrated.config, calibrated.instrument, calibrated.config.evaluation)
     return FisherSetup(
@@ -479,7 +491,9 @@ def axes(config: FisherConfig) -> Quantities:
     return q
 
 
-def rendered(config: FisherConfig, instrument: Instrument, streams: Streams, progress: Progress) -> Mapping[str, Any]:
+def run_rendered(
+    config: FisherConfig, instrument: Instrument, streams: Streams, progress: Progress
+) -> Mapping[str, Any]:
     """Calibrate, acquire at rest and on the move, evaluate: records of the sections."""
     with progress.stage("calibration (S100)", total=5) as stage:
         calibrated = calibrate_bench(config, instrument, streams, stage)
@@ -490,10 +504,12 @@ def rendered(config: FisherConfig, instrument: Instrument, streams: Streams, pro
         stage.advance()
         acquisitions = []
         for name, motion in zip(ACQUISITIONS, (TableMotion(), moving), strict=True):
-            acquisitions.append(acquisition(calibrated, name, motion, psfs))
+            acquisitions.append(acquire_frames(calibrated, name, motion, psfs))
             stage.advance()
     with progress.stage("evaluation (S300-S500)"):
-        records, expected, realised = zip(*(accuracy(calibrated, acquired) for acquired in acquisitions), strict=True)
+        records, expected, realised = zip(
+            *(evaluate_acquisition(calibrated, acquired) for acquired in acquisitions), strict=True
+        )
         causes = [
             ScatterCause(
                 expected_arcsec=[sigmas[cause] for sigmas in expected],
@@ -501,8 +517,8 @@ def rendered(config: FisherConfig, instrument: Instrument, streams: Streams, pro
             )
             for cause in CAUSES
         ]
-        static = same_data(calibrated, acquisitions[0])
-    return {"setup": setup(calibrated), "accuracy": records, "causes": causes, "same_data": static}
+        static = evaluate_calibration_data(calibrated, acquisitions[0])
+    return {"setup": describe_setup(calibrated), "accuracy": records, "causes": causes, "same_data": static}
 
 
 SECTIONS = {

@@ -21,6 +21,7 @@ from optics.units import ARCSEC_RAD
 from render.engine.random import Streams
 
 SWEEP_PX, SWEEP_PITCH_MM = 2048, 0.0055
+"""Detector of the ideal cameras: pixels along each side, and their pitch."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,8 +49,10 @@ def field_sweep(config: FieldConfig, streams: Streams, *, advance: Callable[[], 
 
 
 def _field_point(config: FieldConfig, field_deg: float, streams: Streams) -> FieldPoint:
+    """Both methods on vectors of noise isotropic on the sphere, and on images of noise isotropic in pixels."""
     geometry = SensorGeometry(width_px=SWEEP_PX, height_px=SWEEP_PX, pixel_pitch_mm=SWEEP_PITCH_MM)
-    model, sigma = BrownConrady.of_field(geometry, field_deg), config.sigma_arcsec * ARCSEC_RAD
+    model = BrownConrady.of_field(geometry, field_deg)
+    sigma = config.sigma_arcsec * ARCSEC_RAD
     runs = [
         sampled_method_ratios(model, config.directions, sigma, streams.generator("vectors", run))
         for run in range(config.runs)
@@ -58,16 +61,16 @@ def _field_point(config: FieldConfig, field_deg: float, streams: Streams) -> Fie
     excess = spherical_noise_ratio(field_deg) - 1.0
     return FieldPoint(
         field_deg=field_deg,
-        pixel_method_bias_percent=_off_one(baseline),
+        pixel_method_bias_percent=_percent_above_one(baseline),
         closed_form_percent=100.0 * excess,
-        fisher_bias_percent=_off_one(fisher),
+        fisher_bias_percent=_percent_above_one(fisher),
         vectors_needed=vectors_needed(excess),
-        pixel_noise_fisher_percent=_off_one(pixel_noise),
+        pixel_noise_fisher_percent=_percent_above_one(pixel_noise),
         pixel_noise_quadrature_percent=100.0 * (pixel_noise_ratio(field_deg) - 1.0),
     )
 
 
-def _off_one(ratios: Sequence[float]) -> Measured:
+def _percent_above_one(ratios: Sequence[float]) -> Measured:
     """Mean over runs of a ratio of standard deviations, less 1 [percent], with its standard error."""
     error = float(np.std(ratios, ddof=1)) / float(np.sqrt(len(ratios)))
     return Measured(value=100.0 * (float(np.mean(ratios)) - 1.0), unit="percent", uncertainty=100.0 * error)
@@ -93,7 +96,7 @@ FIELDS = Section(
         )
     },
     verdicts=[
-        agree(  # the deviates of 20 to 40 runs are Student's t: false-alarm probability 0.2 to 0.7 %
+        agree(  # Normal probability; by Student's t of 20 to 40 runs the false-alarm probability is 0.2 to 0.7 %
             "pixel_method_bias_percent",
             with_="closed_form_percent",
             title="bias of the pixel method against its closed form",

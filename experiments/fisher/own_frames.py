@@ -29,17 +29,17 @@ from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.units import ARCSEC_RAD
 
-FEWEST = 10
+MIN_VECTORS = 10
 """Smallest number of star vectors for an accuracy."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Vectors:
-    """Star vectors of frames without use in the calibration: standard deviation per axis."""
+    """Star vectors of frames that did not calibrate: standard deviation per axis."""
 
     sigma_arcsec: float = col("Star vector, σ per axis", "arcsec", ".4f")
     interval_arcsec: Sequence[float] = col("95 % interval", "arcsec", ".4f", "end", shown=False)
-    # By the covariances of images, readings and calibration
+    # Propagated from the covariances of images, readings and calibration
     predicted_arcsec: float = col("Predicted", "arcsec", ".4f")
     centroids_arcsec: float = col("by centroids", "arcsec", ".4f")
     readings_arcsec: float = col("by readings", "arcsec", ".4f")
@@ -57,13 +57,13 @@ class Distribution:
     """Tests of the distribution of the vectors."""
 
     vectors: int = col("Star vectors")
-    outliers: int = col("Outliers left out")
+    outliers: int = col("Outliers rejected")
     isotropy_p_value: float = col("Probability of an ellipse at least as elongated", format=".3g")
     exponential_statistic: float = col("Kolmogorov statistic of the tails", format=".3g")
 
 
-def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> Reduced:
-    """Calibrate with some poses, evaluate the star vectors of the others."""
+def _evaluation_series(folder: FrameFolder) -> list[Any]:
+    """Series for evaluation; refuses none, too few, and series of several frames."""
     chosen = [series for series in folder.series if series.settings.use == "evaluation"]
     if not chosen:
         raise ConfigError(
@@ -77,11 +77,19 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> Reduced:
             "vector needs its own table reading: give every frame a series (series_table), or evaluate a single "
             "frame"
         )
-    if len(chosen) < FEWEST:
-        raise DomainError(f"{SETTINGS_FILE}: {len(chosen)} star vectors for evaluation; at least {FEWEST} are needed")
+    if len(chosen) < MIN_VECTORS:
+        raise DomainError(
+            f"{SETTINGS_FILE}: {len(chosen)} star vectors for evaluation; at least {MIN_VECTORS} are needed"
+        )
+    return chosen
+
+
+def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> Reduced:
+    """Calibrate with the poses for calibration, evaluate the star vectors of the poses for evaluation."""
+    evaluation_series = _evaluation_series(folder)
     fitted = calibrate_poses(folder, methods, ("calibration",))
     model, bench = fitted.calibration.model, fitted.bench
-    evaluated = tuple(reduce_series(folder, series, methods[:1]) for series in chosen)
+    evaluated = tuple(reduce_series(folder, series, methods[:1]) for series in evaluation_series)
     data = pose_data(evaluated, bench.table, methods[0])
     unmeasured = ~np.isfinite(data.pixel_px).all(1)
     if unmeasured.any():
@@ -94,8 +102,10 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> Reduced:
         outlier_probability=config.evaluation.outlier_probability,
     )
     inlier = ~evaluation.outlier
-    angle, centroid = data.reading_rad[inlier], data.covariance_px2[inlier]
-    reading, by_pixel = reading_covariance_px2(model, bench, angle), star_vector_by_pixel(model, bench, angle)
+    angle = data.reading_rad[inlier]
+    centroid = data.covariance_px2[inlier]
+    reading = reading_covariance_px2(model, bench, angle)
+    by_pixel = star_vector_by_pixel(model, bench, angle)
     predicted = predicted_scatter(fitted.calibration, bench, angle, centroid + reading)
     scale = float(np.arctan(model.geometry.pixel_pitch_mm / model.value("focal_length_mm")) / ARCSEC_RAD)
     return (*fitted.series, *evaluated), {

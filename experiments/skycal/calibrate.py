@@ -28,21 +28,22 @@ from calib.cameras.line_of_sight import LineOfSightMap, line_of_sight_map
 from calib.fitting.excess_error import excess_sigma
 from experiments.skycal.match import Matched
 from experiments.skycal.measure import Recording
-from experiments.skycal.positions import STEPS, Chart, positions, trace_chart
+from experiments.skycal.positions import STEPS, Chart, star_positions, trace_chart
 from experiments.skycal.scene import CameraScene
 from experiments.skycal.settings import SkycalConfig, parse_model_name
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
 METHODS = ("free", "acc", "linked", "acc_true")
-"""Attitudes free; linked by the gyro taken as perfect; by the gyro of stated noise; by a truly perfect gyro."""
+"""Attitudes: independent per frame; from a noisy gyro taken as error-free; weighted by the gyro's noise; from the true
+rotation of the gyro."""
 LOSS = "tukey"
 """Loss of the robust fits: a real sky has blends without a flag."""
 ROBUST = frozenset({"light", "star_psf", "measured", "corrected"})
-"""Kinds of positions with the robust loss: the colour of a very red star is an outlier, with and without noise."""
+"""Kinds of positions fitted with the robust loss: the colour shift of a very red star is an outlier in each of them."""
 PARTS = ("mismatch", "chromatic", "noise", "psf")
-"""What each step adds: camera model, star colours, noise and pixels, PSF of one colour."""
-LEAST_SURPLUS = 40
+"""Error that each of the `STEPS` adds: misfit of the model, star colours, noise and pixels, PSF of one colour."""
+MIN_SURPLUS_STARS = 40
 """Stars beyond two per frame that a calibration needs."""
 
 
@@ -91,7 +92,7 @@ class Calibrator:
     chart: Chart
     used: NDArray[np.bool_]  # (n,) Matched stars that take part
     position_px: Mapping[str, FloatArray]  # (n, 2) Positions of the matched stars, by kind
-    floor_px: float = 0.0  # Error per axis that is added to the noise of every star
+    floor_px: float = 0.0  # Error per axis added in quadrature to the noise of every star
 
     def observations(self, data: str) -> Observations:
         """The stars with positions of a kind; the weights are those of the measured centroids for every kind."""
@@ -108,8 +109,10 @@ class Calibrator:
     def calibrate(self, data: str, *, model: str, method: str = "free") -> CalibratedMap:
         """Calibration from `start_camera`."""
         start, free = start_camera(self.scene, self.config, model)
-        stars, loss = self.observations(data), LOSS if data in ROBUST else "linear"
-        scene, gyro = self.scene, self.config.gyro
+        stars = self.observations(data)
+        loss = LOSS if data in ROBUST else "linear"
+        scene = self.scene
+        gyro = self.config.gyro
         family: AttitudeFamily = FreeAttitudes()
         if method == "linked":
             noise = GyroNoise.from_data_sheet(
@@ -124,7 +127,7 @@ class Calibrator:
 
     def compare(self, calibration: Calibration, data: str) -> CalibratedMap:
         """Map error of a calibration, with its prediction."""
-        # scipy's rotations cannot take write-locked arrays
+        # scipy's rotations need writable arrays
         direction, pixel_px = np.array(self.chart.direction), self.chart.pixel_px
         line_of_sight = line_of_sight_map(calibration.model, direction, pixel_px, covariance=calibration.covariance)
         return CalibratedMap(data=data, calibration=calibration, map=line_of_sight)
@@ -144,7 +147,7 @@ class Calibrator:
         """Measured minus predicted position (k, 2) [px] of the used stars."""
         stars, calibration = self.observations(fitted.data), fitted.calibration
         assert calibration.attitude is not None
-        # scipy's rotations cannot take write-locked arrays
+        # scipy's rotations need writable arrays
         in_cam = calibration.attitude[stars.frame].apply(np.array(stars.direction))
         return np.asarray(stars.pixel_px - calibration.model.project(in_cam))
 
@@ -167,11 +170,11 @@ class CalibratedCamera:
     chart: Chart
     position_px: dict[str, FloatArray]  # (n, 2) Positions of all matched stars by kind
     used: NDArray[np.bool_]  # (n,) Matched stars that calibrate
-    # Error per axis added to the noise of every centroid: "measured" for all `STEPS`, and "corrected"
+    # Error per axis added in quadrature to the noise of every centroid: "measured" for all `STEPS`, and "corrected"
     floor_px: dict[str, float]
-    # By (method, model, kind of positions); all `STEPS` for the configured model, with the weights of "measured"
+    # Keys: method, model, kind of positions; all `STEPS` for the configured model, with the weights of "measured"
     maps: dict[tuple[str, str, str], CalibratedMap]
-    clean: CalibratedMap  # ``reference`` with the weights of ``corrected``
+    corrected_model_error: CalibratedMap  # Misfit of the model: ``reference`` with the weights of ``corrected``
     direct: dict[str, CalibratedMap]  # Each model fitted to the chart itself: no stars, no noise
     residual_px: FloatArray  # (k, 2) Residuals of the used stars, measured centroids, free attitudes
 
@@ -189,17 +192,17 @@ class CalibratedCamera:
 def calibrate_camera(
     scene: CameraScene, recording: Recording, matched: Matched, config: SkycalConfig, *, advance: Callable[[], None]
 ) -> CalibratedCamera:
-    """Calibrate, switch the errors on one by one, and compare with the traced lens."""
+    """Calibrate the same stars with one more error in each of the `STEPS`, with every model and attitude method."""
     _check_count(scene, config, matched, np.asarray(np.isfinite(matched.in_cam).all(axis=1)))
     chart = trace_chart(scene, config)
-    position = positions(scene, recording, matched, config)
+    position = star_positions(scene, recording, matched, config)
     used = np.all([np.isfinite(position_px).all(axis=1) for position_px in position.values()], axis=0)
     _check_count(scene, config, matched, used)
     advance()
-    plain = Calibrator(scene=scene, matched=matched, config=config, chart=chart, used=used, position_px=position)
+    calibrator = Calibrator(scene=scene, matched=matched, config=config, chart=chart, used=used, position_px=position)
     name = scene.config.model
     measured, corrected = (
-        replace(plain, floor_px=plain.find_floor_px(data, name)) for data in ("measured", "corrected")
+        replace(calibrator, floor_px=calibrator.find_floor_px(data, name)) for data in ("measured", "corrected")
     )
     maps: dict[tuple[str, str, str], CalibratedMap] = {}
     direct = {}
@@ -207,7 +210,7 @@ def calibrate_camera(
         for data in STEPS if model == name else ("reference", "measured"):
             maps["free", model, data] = measured.calibrate(data, model=model)
         maps["free", model, "corrected"] = corrected.calibrate("corrected", model=model)
-        direct[model] = plain.direct(model)
+        direct[model] = calibrator.direct(model)
         advance()
     for method in METHODS[1:]:
         maps[method, name, "measured"] = measured.calibrate("measured", model=name, method=method)
@@ -222,16 +225,16 @@ def calibrate_camera(
         used=used,
         floor_px={"measured": measured.floor_px, "corrected": corrected.floor_px},
         maps=maps,
-        clean=corrected.calibrate("reference", model=name),
+        corrected_model_error=corrected.calibrate("reference", model=name),
         direct=direct,
         residual_px=measured.residuals(maps["free", name, "measured"]),
     )
 
 
 def _check_count(scene: CameraScene, config: SkycalConfig, matched: Matched, used: NDArray[np.bool_]) -> None:
-    """Refuse to calibrate with fewer than two stars per frame and `LEAST_SURPLUS`."""
+    """Refuse to calibrate with fewer than two stars per frame and `MIN_SURPLUS_STARS`."""
     stars, frames = int(used.sum()), len(np.unique(matched.frame[used]))
-    needed = 2 * frames + LEAST_SURPLUS
+    needed = 2 * frames + MIN_SURPLUS_STARS
     if stars < needed:
         raise DomainError(
             f"{scene.name}: {stars} good stars matched in {frames} frames; at least {needed} are needed: raise "

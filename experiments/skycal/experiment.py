@@ -45,8 +45,11 @@ PART_NAMES = {
     "psf": "PSF of one colour",
 }
 PAIRS = [", ".join(pair) for pair in combinations(PARTS, 2)]
-MOST_WRONG_MATCHES = 1e-3
-"""Largest fraction of wrong matches."""
+MAX_WRONG_MATCH_FRACTION = 1e-3
+"""Largest fraction of wrong matches that passes."""
+SCATTER_QUANTILE, NORMAL_QUANTILE, QUANTILE_ERROR = 0.8, 1.2816, 0.889
+"""Robust scale: 80 % of normal deviates are below 1.2816 sigma in magnitude; the relative error of this scale is
+0.889 / sqrt(n), that of the median 1.17 / sqrt(n)."""
 FAINT_SNR = 50.0
 """Signal-to-noise ratio below which noise, not the pixel response, dominates the error of a centroid."""
 
@@ -79,12 +82,14 @@ class CameraResult:
     part_correlation: Sequence[float] = col("Correlation", "", "+.2f", "pair")
 
 
-def camera_result(calibrated: CalibratedCamera) -> CameraResult:
-    """Record of a calibrated camera."""
-    scene, matched, used = calibrated.scene, calibrated.matched, calibrated.used
+def summarise_camera(calibrated: CalibratedCamera) -> CameraResult:
+    """Camera and stars, wrong matches, scatter of centroids, and RMS and correlation of the parts of the map error."""
+    scene = calibrated.scene
+    matched = calibrated.matched
+    used = calibrated.used
     part = calibrated.part_arcsec
     part_rms = {name: rms(error) for name, error in part.items()}
-    judged = [calibrated.of(data, method=method) for data in DATA for method in ("free", "linked")]
+    judged_fits = [calibrated.of(data, method=method) for data in DATA for method in ("free", "linked")]
     return CameraResult(
         calibrated=calibrated,
         lens=scene.instrument.camera.lens.name,
@@ -104,7 +109,7 @@ def camera_result(calibrated: CalibratedCamera) -> CameraResult:
         wrong_match_fraction=float((~matched.correct).mean()),
         centroid_floor_px=list(calibrated.floor_px.values()),
         centroid_scatter_ratio=centroid_scatter_ratio(calibrated),
-        not_converged=sum(fitted.calibration.solution.status != "converged" for fitted in judged),
+        not_converged=sum(fitted.calibration.solution.status != "converged" for fitted in judged_fits),
         part_rms_arcsec=list(part_rms.values()),
         quadrature_arcsec=float(np.sqrt(sum(value**2 for value in part_rms.values()))),
         part_correlation=[
@@ -121,10 +126,8 @@ def centroid_scatter_ratio(calibrated: CalibratedCamera) -> Measured:
         return Measured(value=float("nan"), uncertainty=float("inf"), n=0)
     error = (calibrated.position_px["star_psf"] - calibrated.position_px["light"])[faint]
     pull = error / np.sqrt(np.diagonal(calibrated.matched.covariance_px2[faint], axis1=1, axis2=2))
-    # 80 % of normal deviates are below 1.2816 in magnitude: relative error of the scale 0.889 / sqrt(n), by the median
-    # 1.17 / sqrt(n)
-    scatter = float(np.quantile(np.abs(pull), 0.8)) / 1.2816
-    return Measured(value=scatter, uncertainty=0.889 / np.sqrt(pull.size), n=pull.size)
+    scatter = float(np.quantile(np.abs(pull), SCATTER_QUANTILE)) / NORMAL_QUANTILE
+    return Measured(value=scatter, uncertainty=QUANTILE_ERROR / np.sqrt(pull.size), n=pull.size)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,7 +143,7 @@ class MapError:
     corrected_reduced_chi2: Sequence[float] = col("χ² per degree", "", ".2f", "camera")
 
 
-def map_error(cameras: Sequence[CalibratedCamera], method: str) -> MapError:
+def compare_maps(cameras: Sequence[CalibratedCamera], method: str) -> MapError:
     """Map errors of all cameras by a method; "noise only" is without the misfit of the camera model."""
     measured, corrected = ([camera.of(data, method=method) for camera in cameras] for data in DATA)
     return MapError(
@@ -149,7 +152,7 @@ def map_error(cameras: Sequence[CalibratedCamera], method: str) -> MapError:
         corrected_rms_arcsec=[fitted.rms_arcsec for fitted in corrected],
         corrected_predicted_arcsec=[predicted_rms(fitted) for fitted in corrected],
         noise_map_rms_arcsec=[
-            rms(fitted.error_arcsec - camera.clean.error_arcsec)
+            rms(fitted.error_arcsec - camera.corrected_model_error.error_arcsec)
             for fitted, camera in zip(corrected, cameras, strict=True)
         ],
         corrected_sigma_f_um=[sigma_f_um(fitted) for fitted in corrected],
@@ -170,7 +173,7 @@ def sigma_f_um(fitted: CalibratedMap) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelError:
-    """A camera model fitted to the same stars as the others; map errors, RMS."""
+    """RMS map errors of a camera model; all models are fitted to the same stars."""
 
     parameters: int = col("Free parameters")
     direct_arcsec: float = col("Fitted to the lens", "arcsec", ".2g")
@@ -182,7 +185,7 @@ class ModelError:
     status: str = col("Status", shown=False)
 
 
-def models(calibrated: CalibratedCamera) -> list[ModelError]:
+def compare_models(calibrated: CalibratedCamera) -> list[ModelError]:
     """Errors of every camera model that is compared."""
     errors = []
     for name in calibrated.scene.config.models:
@@ -210,9 +213,10 @@ class FittedParameter:
     value: Measured = col("Value")
 
 
-def parameters(calibrated: CalibratedCamera) -> list[FittedParameter]:
+def tabulate_parameters(calibrated: CalibratedCamera) -> list[FittedParameter]:
     """Parameters and standard deviations from the calibration of measured centroids with free attitudes."""
-    solution, stars = calibrated.of("measured").calibration.solution, int(calibrated.used.sum())
+    solution = calibrated.of("measured").calibration.solution
+    stars = int(calibrated.used.sum())
     units = f"{{{calibrated.scene.name}_parameter}}"  # units along the dimension, from `parameter_axis`
     return [
         FittedParameter(name=name, value=Measured(value=float(value), unit=units, uncertainty=float(sigma), n=stars))
@@ -237,7 +241,7 @@ def parameter_axis(name: str) -> Callable[[Quantities, Sequence[FittedParameter]
 class MapPoint:
     """Line-of-sight error at a point of the detector, model minus traced lens; its prediction and its parts."""
 
-    position_px: FloatArray = col("Place", "px", dims="axis")
+    position_px: FloatArray = col("Position", "px", dims="axis")
     error_arcsec: FloatArray = col("As measured", "arcsec", dims="axis")
     sigma_arcsec: FloatArray = col("Predicted σ", "arcsec", dims="axis")
     corrected_error_arcsec: FloatArray = col("Colours known", "arcsec", dims="axis")
@@ -248,7 +252,7 @@ class MapPoint:
     psf_arcsec: FloatArray = col("PSF of one colour", "arcsec", dims="axis")
 
 
-def map_points(calibrated: CalibratedCamera) -> list[MapPoint]:
+def tabulate_map(calibrated: CalibratedCamera) -> list[MapPoint]:
     """The map of the line of sight, row by row."""
     measured, corrected = (calibrated.of(data) for data in DATA)
     columns = {
@@ -284,9 +288,11 @@ class CalibrationStar:
     sigma_px: FloatArray = col("Stated σ", "px", dims="axis")
 
 
-def stars(calibrated: CalibratedCamera) -> list[CalibrationStar]:
+def tabulate_stars(calibrated: CalibratedCamera) -> list[CalibrationStar]:
     """Every star of the calibration."""
-    matched, used, sky = calibrated.matched, calibrated.used, calibrated.scene.sky
+    matched = calibrated.matched
+    used = calibrated.used
+    sky = calibrated.scene.sky
     star = matched.star[used]
     columns: dict[str, Any] = {
         "frame": matched.frame[used],
@@ -307,15 +313,15 @@ def run(config: SkycalConfig, *, progress: Progress) -> dict[str, Any]:
     scenes = {name: build_scene(name, config, root.child(name)) for name in config.cameras}
     cameras = {name: calibrated_camera(scene, config, root.child(name), progress) for name, scene in scenes.items()}
     result: dict[str, Any] = {
-        "cameras": [camera_result(camera) for camera in cameras.values()],
-        "methods": [map_error(list(cameras.values()), method) for method in METHODS],
+        "cameras": [summarise_camera(camera) for camera in cameras.values()],
+        "methods": [compare_maps(list(cameras.values()), method) for method in METHODS],
     }
     for name, camera in cameras.items():
         result |= {
-            f"{name}_models": models(camera),
-            f"{name}_parameters": parameters(camera),
-            f"{name}_map": map_points(camera),
-            f"{name}_stars": stars(camera),
+            f"{name}_models": compare_models(camera),
+            f"{name}_parameters": tabulate_parameters(camera),
+            f"{name}_map": tabulate_map(camera),
+            f"{name}_stars": tabulate_stars(camera),
         }
     return result
 
@@ -424,7 +430,9 @@ SECTIONS: dict[str, Section] = {
         note="Parts add up as vectors; independent parts would add in quadrature.",
         verdicts=[
             below(
-                "wrong_match_fraction", MOST_WRONG_MATCHES, title="fraction of wrong matches, largest of the cameras"
+                "wrong_match_fraction",
+                MAX_WRONG_MATCH_FRACTION,
+                title="fraction of wrong matches, largest of the cameras",
             ),
             below(
                 "not_converged",

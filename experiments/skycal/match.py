@@ -30,10 +30,14 @@ FINAL_RADIUS_PX = 2.0
 """Largest distance of a detection from its star in the second matching."""
 RADIUS_SIGMA = 4.5
 """Search radius of the first matching over the standard deviation of the attitude."""
-FEWEST_MATCHED = 4
+MIN_MATCHED = 4
 """Smallest number of matched stars in a matched frame."""
 CORRECT_PX = 1.0
 """Largest distance of a detection from the light of the star in a correct match."""
+FIRST_SIGMA_PX = 0.1
+"""Equal weights of the first fit; its result is a camera accurate to `FINAL_RADIUS_PX`."""
+CIRCLE_MARGIN_DEG, CATALOGUE_EXCESS = 0.2, 1.2
+"""Margin of the circle around the field, and number of catalogue stars per detection of equal area."""
 FAILED = StarFlag.NOT_CONVERGED | StarFlag.NO_DATA
 """Flags of a detection without a centroid."""
 
@@ -47,13 +51,13 @@ class Matched:
     row: IntArray  # (n,) Row of the detection in the stamps of the recording
     direction: FloatArray  # (n, 3) Unit vectors in icrs
     pixel_px: FloatArray  # (n, 2) Measured centroids
-    covariance_px2: FloatArray  # (n, 2, 2) Of the centroids: temporal noise
+    covariance_px2: FloatArray  # (n, 2, 2) Covariance of the centroids by temporal noise
     snr: FloatArray  # (n,) Flux over its standard deviation
     photon_px: FloatArray  # (n, 2) Truth: mean of all light of the star
     in_cam: FloatArray  # (n, 3) Truth: direction in cam
     correct: NDArray[np.bool_]  # (n,) Truth: whether the match is correct
     count: dict[str, int]  # Number of detections of all frames by `OUTCOMES`
-    first_matched: int  # Frames matched from the camera of the data sheet
+    first_matched: int  # Number of frames matched with the camera of the data sheet
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -108,6 +112,7 @@ def match_frames(scene: CameraScene, recording: Recording, config: SkycalConfig)
 
 
 def _check_detections(scene: CameraScene, recording: Recording, config: SkycalConfig) -> None:
+    """Refuse frames without a star, and frames with more than half of the detections saturated."""
     detections = sum(len(frame.detections) for frame in recording.frames)
     instrument = scene.instrument.config
     if not detections:
@@ -138,13 +143,13 @@ def _first_match(
         pixel, scene.sky.direction[rows], prior, camera, radius_px=radius_px, tolerance_px=FIRST_TOLERANCE_PX
     )
     pairs = match.association
-    if not match.ok or len(pairs) < FEWEST_MATCHED:
+    if not match.ok or len(pairs) < MIN_MATCHED:
         return None
     return Observations.isotropic(
         pixel_px=pixel[pairs.detected],
         direction=scene.sky.direction[rows[pairs.catalogue]],
         frame=np.full(len(pairs), number),
-        sigma_px=0.1,
+        sigma_px=FIRST_SIGMA_PX,
         frames=scene.frames,
         star=rows[pairs.catalogue],
     )
@@ -153,16 +158,16 @@ def _first_match(
 def _brightest_near(scene: CameraScene, attitude: Rotation) -> IntArray:
     """Rows of the brightest catalogue stars in a circle around the field: as many per area as detections, and 20 %."""
     width_deg, height_deg = scene.instrument.field_deg
-    radius_rad = np.radians(0.5 * np.hypot(width_deg, height_deg) + 0.2)
+    radius_rad = np.radians(0.5 * np.hypot(width_deg, height_deg) + CIRCLE_MARGIN_DEG)
     in_circle = np.flatnonzero(scene.sky.direction @ attitude.as_matrix()[2] > np.cos(radius_rad))
     area_ratio = np.pi * np.degrees(radius_rad) ** 2 / (width_deg * height_deg)
     order = np.argsort(scene.sky.magnitude[in_circle], kind="stable")
-    return in_circle[order[: round(1.2 * area_ratio * BRIGHTEST)]]
+    return in_circle[order[: round(CATALOGUE_EXCESS * area_ratio * BRIGHTEST)]]
 
 
 @dataclass(frozen=True, slots=True)
 class _FinalMatch:
-    """Second matching of a frame."""
+    """Second matching of a frame, with the fitted camera and attitude."""
 
     scene: CameraScene
     stars: FrameStars
@@ -170,8 +175,9 @@ class _FinalMatch:
     number: int
 
     def match(self, model: CameraModel, attitude: Rotation) -> Matched:
-        """Matches of good detections."""
-        detections, sky = self.stars.detections, self.scene.sky
+        """Stars within `FINAL_RADIUS_PX` of detections without a reason to reject them."""
+        detections = self.stars.detections
+        sky = self.scene.sky
         pixel = np.column_stack([detections.x_px, detections.y_px])
         radius_rad = np.radians(np.hypot(*self.scene.instrument.field_deg))
         in_circle = np.flatnonzero(sky.direction @ attitude.as_matrix()[2] > np.cos(radius_rad))

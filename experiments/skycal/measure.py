@@ -29,7 +29,7 @@ from render.records import Frame
 
 BACKGROUND_BOX_PX, BACKGROUND_STEP_PX = 256, 4
 """The sky is flat over hundreds of pixels; every 16th pixel gives its level to 0.3 e-."""
-BANK_ERROR_PX, MOST_HALVINGS = 0.005, 2
+BANK_ERROR_PX, MAX_HALVINGS = 0.005, 2
 """Largest shift of a fit by interpolation of the PSFs of a sensor file, and limit of the halvings of their spacing."""
 AHEAD = 2
 """Frames that may wait for their reduction while the next ones are rendered."""
@@ -42,12 +42,12 @@ NO_PIXELS = np.zeros((0, 0), np.float32)
 class FrameStars:
     """A frame: detections and truth."""
 
-    detections: StarTable  # With centroids, in pixels of the window
+    detections: StarTable  # Detected stars with centroids
     first_row: int  # Row of the first detection in the stamps of the recording
     star: NDArray[np.int64]  # (n,) Rows of the rendered stars in the sky
     direction: FloatArray  # (n, 3) Unit vectors in cam
     photon_px: FloatArray  # (n, 2) Mean of all light of the star
-    electrons: FloatArray  # (n,) Of the star, on the detector
+    electrons: FloatArray  # (n,) Electrons of the star on the detector
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -73,33 +73,35 @@ def record(scene: CameraScene, config: SkycalConfig, streams: Streams, *, advanc
     The renderer needs all cores for a moment, the reduction a single core for longer: it runs in other threads, up to
     `AHEAD` frames behind.
     """
-    instrument, simulator = scene.instrument, scene.simulator
+    instrument = scene.instrument
     noise = true_noise(instrument, dark_frames=config.dark_frames)
     dark_dn = mean_dark_frame(instrument, config.dark_frames, streams=streams.child("dark"))
-    middle, example = scene.frames // 2, None
+    example = None
     rendered: list[SkyLight] = []
-    cut: list[Future[Stamps]] = []
+    pending: list[Future[Stamps]] = []
     with prompt_pool(AHEAD) as pool:
         for number in range(scene.frames):
-            light = simulator.expected(scene.attitude[number])
-            frame = simulator.read(light, frame=number, streams=streams)
-            rendered.append(replace(light, electrons=NO_PIXELS, layers={}))  # images are large
-            if number == middle:
+            light = scene.simulator.expected(scene.attitude[number])
+            frame = scene.simulator.read(light, frame=number, streams=streams)
+            rendered.append(
+                replace(light, electrons=NO_PIXELS, layers={})
+            )  # Images are large: only field and truth are kept
+            if number == scene.frames // 2:
                 example = frame
-            cut.append(pool.submit(_detect, config, frame, dark_dn, noise))
+            pending.append(pool.submit(_detect, config, frame, dark_dn, noise))
             del light, frame
             if number >= AHEAD:
-                cut[number - AHEAD].result()
+                pending[number - AHEAD].result()
             advance()
-        stamps = [one.result() for one in cut]
+        stamps = [future.result() for future in pending]
     assert example is not None
     all_stamps = concatenated(stamps)
     table = _centroids(scene, config, all_stamps, noise)
-    ends = np.cumsum([len(in_frame) for in_frame in stamps])
+    row_ends = np.cumsum([len(frame_stamps) for frame_stamps in stamps])
     return Recording(
         frames=tuple(
-            _frame_stars(light, table.select(slice(end - len(in_frame), end)), int(end - len(in_frame)))
-            for light, in_frame, end in zip(rendered, stamps, ends, strict=True)
+            _frame_stars(light, table.select(slice(end - len(frame_stamps), end)), int(end - len(frame_stamps)))
+            for light, frame_stamps, end in zip(rendered, stamps, row_ends, strict=True)
         ),
         example=example,
         stamps=all_stamps,
@@ -108,7 +110,7 @@ def record(scene: CameraScene, config: SkycalConfig, streams: Streams, *, advanc
 
 
 def _frame_stars(light: SkyLight, detections: StarTable, first_row: int) -> FrameStars:
-    """Truth and measurement of a frame."""
+    """Detections of a frame, and truth of its rendered stars."""
     field, truth = light.field, light.truth
     assert field is not None
     return FrameStars(
@@ -149,7 +151,7 @@ class BankRenderer:
         self._scene, self._window_px = scene, config.window_px
         self._spacing_px = scene.config.psf_spacing_px
         self._tracer = psf_tracer(scene.instrument, sobol_log2_rays=scene.config.sobol_log2_rays)
-        for _ in range(MOST_HALVINGS if scene.name == "own" else 0):
+        for _ in range(MAX_HALVINGS if scene.name == "own" else 0):
             if self.render(config.sky.reference_k).error_px() <= BANK_ERROR_PX:
                 break
             self._spacing_px /= 2.0

@@ -39,7 +39,7 @@ class Chart:
 
     direction: FloatArray  # (n, 3) Unit vectors in cam
     pixel_px: FloatArray  # (n, 2) Mean of the rays
-    rows: int  # Of the grid, row by row; rows times columns is n
+    rows: int  # Rows of the grid, which is stored row by row: n = rows x columns
     columns: int
 
     def __post_init__(self) -> None:
@@ -66,20 +66,22 @@ def trace_chart(scene: CameraScene, config: SkycalConfig) -> Chart:
     )
     direction = scene.instrument.direction_at(x.ravel(), y.ravel())
     pixel = trace_colour(scene, direction, config.sky.reference_k, more_log2_rays=CHART_LOG2_RAYS)
-    dark = int((~np.isfinite(pixel).all(axis=1)).sum())
-    if dark:
+    unlit = int((~np.isfinite(pixel).all(axis=1)).sum())
+    if unlit:
         raise DomainError(
-            f"{scene.name}: no light reaches {dark} of {len(pixel)} points of the detector through lens "
+            f"{scene.name}: no light reaches {unlit} of {len(pixel)} points of the detector through lens "
             f"{camera.lens.name!r}; set {scene.name}.instrument.width_px and height_px smaller"
         )
     return Chart(direction=direction, pixel_px=pixel, rows=rows, columns=columns)
 
 
-def positions(
+def star_positions(
     scene: CameraScene, recording: Recording, matched: Matched, config: SkycalConfig
 ) -> dict[str, FloatArray]:
-    """Positions (n, 2) [px] of the matched stars by kind, `STEPS` and "corrected"; NaN for a star that was not
-    rendered, and where the fit does not converge."""
+    """Positions (n, 2) [px] of the matched stars by kind, `STEPS` and "corrected".
+
+    NaN for a star that was not rendered, and where the fit does not converge.
+    """
     reference = np.full((len(matched), 2), np.nan)
     rendered = np.isfinite(matched.in_cam).all(axis=1)
     if rendered.any():
@@ -106,8 +108,10 @@ def colour_classes(temperature_k: FloatArray) -> tuple[FloatArray, NDArray[np.in
 
 
 def _star_psf_centroids(scene: CameraScene, recording: Recording, matched: Matched, config: SkycalConfig) -> FloatArray:
-    """Centroids (n, 2) [px] with PSFs of the stars' colours, whose origin is the mean of their rays: estimates of the
-    position of the star's light."""
+    """Centroids (n, 2) [px] with PSFs of the stars' colours: estimates of the position of all light of a star.
+
+    The origin of each PSF is the mean of the rays of its colour.
+    """
     renderer = BankRenderer(scene, config)
     centroider = config.centroid if needs_epsf(config.centroid) else "epsf"
     colour, member = colour_classes(scene.sky.temperature_k[matched.star])

@@ -32,8 +32,12 @@ STEPS_PER_FRAME = 20
 AXIS_TURN_DEG = 180.0
 """Rotation of the axis about the boresight in the sequence. With a fixed axis, the rotation of the installation about
 this axis would not be observable."""
-FEWEST_STARS = 3
+MIN_STARS = 3
 """Smallest mean number of stars per frame."""
+RENDER_MARGIN_FRACTION, RENDER_MARGIN_PX = 0.02, 8.0
+"""Border around the detector whose stars are rendered: fraction of the width for distortion, pixels for the PSF."""
+REFERENCE_MAG = 5.0
+"""Magnitude of traced stars, whose positions do not depend on it."""
 TEMPERATURE_RANGE_K = (1200.0, 50000.0)
 """Range of the table of starlight, to which colour temperatures are clipped."""
 
@@ -51,7 +55,7 @@ class CameraScene:
     prior_attitude: Rotation  # Start of the matching, with an error of arcminutes
     gyro_rotation: Rotation  # Gyro body at frame k from gyro body at the first frame, integrated from noisy rates
     true_gyro_rotation: Rotation  # True rotation of the gyro body
-    installation: Rotation  # Camera from gyro body
+    installation: Rotation  # Mounting: cam from gyro body
 
     @property
     def sky(self) -> Sky:
@@ -77,7 +81,7 @@ class CameraScene:
 
     def of_one_colour(self, direction: FloatArray, temperature_k: float) -> StarField:
         """Stars of one colour and brightness at directions (n, 3) in cam."""
-        return self.simulator.light.stars(direction, 5.0, np.clip(temperature_k, *TEMPERATURE_RANGE_K))
+        return self.simulator.light.stars(direction, REFERENCE_MAG, np.clip(temperature_k, *TEMPERATURE_RANGE_K))
 
     def in_cam(self, frame: int) -> tuple[NDArray[np.int64], FloatArray]:
         """Rows of the stars that may fall on the detector in a frame, and their directions (n, 3) in cam."""
@@ -94,14 +98,9 @@ def build_scene(name: str, config: SkycalConfig, streams: Streams) -> CameraScen
     time_s = np.arange(config.frames) / config.motion.frame_rate_hz
     installation = rotation_of_angles(np.radians(config.gyro.installation_deg))
     body = mounted(path, installation.inv())
-    sign = np.where(streams.generator("bias").uniform(size=3) < 0.5, -1.0, 1.0)
-    gyro = Gyro(
-        rate_hz=config.gyro.rate_hz,
-        bias_deg_per_h=config.gyro.bias_deg_per_h * sign,
-        angle_random_walk_deg_per_sqrt_h=np.full(3, config.gyro.angle_random_walk_deg_per_sqrt_h),
-    )
-    record = simulate_gyro(body, gyro, streams)
-    attitude, of_body = path.attitude(time_s), body.attitude(time_s)
+    record = simulate_gyro(body, _gyro(config, streams), streams)
+    attitude = path.attitude(time_s)
+    body_attitude = body.attitude(time_s)
     error = streams.generator("told attitude").normal(size=(config.frames, 3))
     error *= config.motion.attitude_error_arcmin * 60.0 * ARCSEC_RAD
     light = star_light([band], nodes=config.sky.nodes, magnitude_system="G")
@@ -120,24 +119,35 @@ def build_scene(name: str, config: SkycalConfig, streams: Streams) -> CameraScen
             temperature_c=instrument.config.chip_temperature_c,
             background_e_per_s=camera_config.background_e_per_s,
             sobol_log2_rays=camera_config.sobol_log2_rays,
-            margin_px=0.02 * instrument.camera.width_px + 8.0,
+            margin_px=RENDER_MARGIN_FRACTION * instrument.camera.width_px + RENDER_MARGIN_PX,
         ),
         time_s=time_s,
         attitude=attitude,
         prior_attitude=Rotation.from_rotvec(error) * attitude,
         gyro_rotation=integrate_rates(record.time_s, record.rate_rad_per_s, at_s=time_s),
-        true_gyro_rotation=of_body * of_body[0].inv(),
+        true_gyro_rotation=body_attitude * body_attitude[0].inv(),
         installation=installation,
     )
     _check_stars(scene)
     return scene
 
 
+def _gyro(config: SkycalConfig, streams: Streams) -> Gyro:
+    """The gyro, with a bias of random sign on every axis."""
+    sign = np.where(streams.generator("bias").uniform(size=3) < 0.5, -1.0, 1.0)
+    return Gyro(
+        rate_hz=config.gyro.rate_hz,
+        bias_deg_per_h=config.gyro.bias_deg_per_h * sign,
+        angle_random_walk_deg_per_sqrt_h=np.full(3, config.gyro.angle_random_walk_deg_per_sqrt_h),
+    )
+
+
 def _detectable_mag(
     instrument: Instrument, light: StarLight, camera_config: SkycalCameraConfig, config: SkycalConfig
 ) -> float:
     """Magnitude (G) of stars that would not be detected if all their light fell on one pixel; rounded towards faint."""
-    camera, exposure_s = instrument.camera, instrument.config.exposure_s
+    camera = instrument.camera
+    exposure_s = instrument.config.exposure_s
     rate = light.photon_rate(np.zeros(2), np.array(TEMPERATURE_RANGE_K))[:, 0] @ camera.response_at(
         light.wavelength_nm[0]
     )
@@ -170,12 +180,12 @@ def _instrument(name: str, config: SkycalCameraConfig) -> Instrument:
 
 
 def _check_stars(scene: CameraScene) -> None:
-    """Refuse a sequence with fewer than `FEWEST_STARS` per frame."""
+    """Refuse a sequence with fewer than `MIN_STARS` per frame."""
     count = np.array([len(scene.in_cam(frame)[0]) for frame in range(scene.frames)])
-    if count.mean() < FEWEST_STARS:
+    if count.mean() < MIN_STARS:
         width, height = scene.instrument.field_deg
         raise DomainError(
             f"{scene.name}: {count.mean():.1f} stars per frame to G = {scene.config.faintest_mag:g} in the field of "
-            f"{width:.1f} x {height:.1f} deg; at least {FEWEST_STARS} are needed: raise {scene.name}.faintest_mag or "
+            f"{width:.1f} x {height:.1f} deg; at least {MIN_STARS} are needed: raise {scene.name}.faintest_mag or "
             "point elsewhere (sky.ra_deg, sky.dec_deg)"
         )

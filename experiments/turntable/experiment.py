@@ -74,18 +74,18 @@ UNKNOWNS = {
 }
 """Unknowns of the calibration, the last one on three axes only."""
 REDUCTIONS = {"estimated": "axis angles fitted", "ignored": "axes taken as orthogonal", "known": "axis angles known"}
-LEAST_RUNS = 10
+MIN_RUNS = 10
 """Smallest number of converged runs of a Monte-Carlo."""
 RENDERED_QUANTILE = 0.998
-"""Quantile of the map error of the rendered run, from the Cramér-Rao bound at the truth. The covariance of the estimate
-is no measure: on two axes the errors are so large in one direction that it differs from that at the truth (standard
-deviation of the principal point 25 px instead of 32 px in one of 40 runs)."""
+"""Quantile of the map error that limits the rendered run, from the Cramér-Rao bound at the truth. The covariance at the
+estimate is not used: on two axes the errors are so large in one direction that it differs from that at the truth
+(standard deviation of the principal point 25 px instead of 32 px in one of 40 runs)."""
 SECOND_ORDER = 1.15
-"""Factor of this quantile for second derivatives on two axes: 1500 runs of the Monte-Carlo have it at 3.2 times the RMS
-of the bound, normal errors at 2.8."""
+"""Factor on `RENDERED_QUANTILE` by second derivatives on two axes: in 1500 runs of the Monte-Carlo this quantile is 3.2
+times the RMS of the bound, for normal errors 2.8 times."""
 PULL_SLACK = 0.05
 """Relative increase of the pulls that second derivatives may cause."""
-MOST_MODEL_RATIO = 0.1
+MAX_MODEL_RATIO = 0.1
 """Largest error of the camera model over the predicted map error."""
 ADVICE = (
     "the axes (reduction.axes), the start of the star (reduction.star_deg), the reading noise or the camera model are "
@@ -99,7 +99,7 @@ class TableReduction:
     """A calibration and its errors."""
 
     calibration: Calibration
-    # Error against the traced lens after the best rotation, and its prediction by the covariance
+    # Error against the traced lens after the best rotation, and the error predicted by the covariance
     line_of_sight: LineOfSightMap
     # (n, 2) Measured minus predicted images at the angles as read, before any reading error is fitted
     residual_px: FloatArray
@@ -135,7 +135,7 @@ def prepare(config: TurntableCalibrationConfig) -> Instrument:
     return instrument
 
 
-def table_case(
+def calibrate_table(
     config: TurntableCalibrationConfig,
     instrument: Instrument,
     traced: TracedMap,
@@ -143,16 +143,19 @@ def table_case(
     streams: Streams,
     progress: Progress,
 ) -> TableCase:
-    """A table from the rendering to the Monte-Carlo."""
-    name, table = TABLES[key], getattr(config, key)
+    """Render and calibrate a table, compute its bounds, and repeat the calibration on coordinates."""
+    name = TABLES[key]
+    table = getattr(config, key)
     streams = streams.child(name)
     with progress.stage(f"{name} table", total=5) as stage:
         measurement = measure(config, instrument, table, streams, advance=stage.advance)
-        reductions, noise_free = calibrations(config, instrument, traced, key, table, measurement)
+        reductions, noise_free = calibrate_rendered(config, instrument, traced, key, table, measurement)
         stage.advance()
-    model, single_frame = noise_free.calibration.model, measurement.bench
+    model = noise_free.calibration.model
+    single_frame = measurement.bench
     bench = replace(single_frame, table=single_frame.table.averaged(config.frames))
-    angle, centroid_px2 = np.array(measurement.visits.true_rad), measurement.readings.covariance_px2
+    angle = np.array(measurement.visits.true_rad)
+    centroid_px2 = measurement.readings.covariance_px2
     coordinates = Coordinates(
         model=model,
         bench=bench,
@@ -164,7 +167,7 @@ def table_case(
     noise = centroid_px2 + reading_covariance_px2(model, bench, angle)
     with progress.stage(f"{name} Monte-Carlo", total=config.study.runs) as stage:
         runs = monte_carlo(coordinates, traced, streams.child("Monte-Carlo"), config.study.runs, advance=stage.advance)
-    if runs.runs < LEAST_RUNS:
+    if runs.runs < MIN_RUNS:
         raise DomainError(
             f"{name} table: {runs.not_converged} of {config.study.runs} calibrations of the Monte-Carlo did not "
             "converge; use better start values (reduction.star_deg, reduction.focal_length_mm) or cover more of the "
@@ -200,7 +203,7 @@ def bounds_if_known(
     return {label: table_bound(*design, **unknowns).map_sigma_arcsec for label, unknowns in options.items()}
 
 
-def calibrations(
+def calibrate_rendered(
     config: TurntableCalibrationConfig,
     instrument: Instrument,
     traced: TracedMap,
@@ -229,7 +232,8 @@ def calibrations(
     check_parity(rendered, assumed.nominal, start, start_star)
     estimated = reduction(rendered, assumed.nominal, leans=True)
     check_fit(estimated.calibration, f"{TABLES[key]} table", ADVICE)
-    ignored, known = reduction(rendered, assumed.nominal), reduction(rendered, assumed)
+    ignored = reduction(rendered, assumed.nominal)
+    known = reduction(rendered, assumed)
     noise_free = reduction(rays, without_noise)
     check_fit(noise_free.calibration, f"{TABLES[key]} table, camera model against noise-free rays", ADVICE)
     return {"estimated": estimated, "ignored": ignored, "known": known}, noise_free
@@ -237,7 +241,7 @@ def calibrations(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LineOfSight:
-    """Calibration on one table, by its map: RMS length of the line-of-sight error after the best rotation."""
+    """Calibration on one table: RMS length over the map of the line-of-sight error after the best rotation."""
 
     map_error_arcsec: Sequence[float] = col("Run,", "arcsec", ".3g", "reduction")
     map_predicted_arcsec: float = col("Predicted", "arcsec", ".3g")  # By the estimator's covariance
@@ -245,7 +249,7 @@ class LineOfSight:
     map_limit_arcsec: float = col("Limit of chance", "arcsec", ".3g", shown=False)
     map_monte_carlo_arcsec: Measured = col("Monte-Carlo", "arcsec", ".3g")
     map_bound_arcsec: float = col("Cramér–Rao", "arcsec", ".3g")
-    # Against noise-free rays, non-orthogonality known
+    # Misfit of the camera model to noise-free rays, non-orthogonality known
     camera_model_arcsec: float = col("Camera model", "arcsec", ".3g")
     camera_model_ratio: float = col("Camera model over predicted", "", ".2g", shown=False)
     reduced_chi2: Sequence[Measured] = col("χ²/dof,", "", ".3f", "reduction", shown=False)
@@ -256,16 +260,18 @@ class LineOfSight:
     centroid_error_px: FloatArray = col("Centroid error, RMS", "px", ".4f", "axis", shown=False)
     centroid_predicted_px: FloatArray = col("Centroid error, predicted", "px", ".4f", "axis", shown=False)
     error_map_arcsec: FloatArray = col("Error of the line of sight", "arcsec", dims="point", shown=False)
-    sigma_map_arcsec: FloatArray = col("Its predicted σ", "arcsec", dims="point", shown=False)
+    sigma_map_arcsec: FloatArray = col("Predicted σ of the line of sight", "arcsec", dims="point", shown=False)
 
 
-def line_of_sight(case: TableCase, pixel_arcsec: float) -> LineOfSight:
+def summarise_table(case: TableCase, pixel_arcsec: float) -> LineOfSight:
     """The rendered run and the Monte-Carlo of one table."""
     solutions = [reduction.calibration.solution for reduction in case.reductions.values()]
-    estimated, readings = case.reductions["estimated"].line_of_sight, case.measurement.readings
+    estimated = case.reductions["estimated"].line_of_sight
+    readings = case.measurement.readings
     sigma = dict(zip(solutions[0].names, solutions[0].sigma, strict=True))
     principal_point_arcsec = pixel_arcsec * np.array([sigma["x0_px"], sigma["y0_px"]])
-    predicted, model = estimated.predicted_rms_arcsec, case.model.line_of_sight.rms_arcsec
+    predicted = estimated.predicted_rms_arcsec
+    model = case.model.line_of_sight.rms_arcsec
     return LineOfSight(
         map_error_arcsec=[reduction.line_of_sight.rms_arcsec for reduction in case.reductions.values()],
         map_predicted_arcsec=predicted,
@@ -279,7 +285,7 @@ def line_of_sight(case: TableCase, pixel_arcsec: float) -> LineOfSight:
             for fit in solutions
         ],
         principal_point_sigma_arcsec=principal_point_arcsec,
-        # the map error is a length over two axes
+        # sqrt(2): the map error is the length of a vector of two axes
         principal_point_ratio=float(np.sqrt(2.0) * principal_point_arcsec.max() / predicted),
         runs_not_converged=case.monte_carlo.not_converged,
         positions=len(readings.position_px),
@@ -306,35 +312,45 @@ class TableUnknown:
     correlation: FloatArray = col("Correlation", dims="table other", shown=False)
 
 
-def unknown(name: str, cases: Sequence[TableCase]) -> TableUnknown:
-    """An unknown on all tables."""
-    columns = np.full((8, len(cases)), np.nan)
+UNKNOWN_VALUES = (
+    "truth",
+    "estimate",
+    "sigma",
+    "pull",
+    "sigma_bound",
+    "sigma_monte_carlo",
+    "rms_pull",
+    "rms_pull_error",
+)
+
+
+def compare_unknown(name: str, cases: Sequence[TableCase]) -> TableUnknown:
+    """Estimate, bound and Monte-Carlo of an unknown on all tables."""
+    values = {field: np.full(len(cases), np.nan) for field in UNKNOWN_VALUES}
     correlation = np.full((len(cases), len(UNKNOWNS)), np.nan)
     for number, case in enumerate(cases):
-        runs, solution = case.monte_carlo, case.reductions["estimated"].calibration.solution
+        runs = case.monte_carlo
+        solution = case.reductions["estimated"].calibration.solution
         if name not in runs.names:
             continue
         row = runs.names.index(name)
-        columns[:, number] = (
-            runs.truth[row],
-            solution.value[row],
-            solution.sigma[row],
-            solution.pulls(runs.truth)[row],
-            case.bound.of(name),
-            runs.error[:, row].std(ddof=1),
-            runs.rms_pull[row],
-            1.0 / np.sqrt(2.0 * runs.runs),
-        )
+        values["truth"][number] = runs.truth[row]
+        values["estimate"][number] = solution.value[row]
+        values["sigma"][number] = solution.sigma[row]
+        values["pull"][number] = solution.pulls(runs.truth)[row]
+        values["sigma_bound"][number] = case.bound.of(name)
+        values["sigma_monte_carlo"][number] = runs.error[:, row].std(ddof=1)
+        values["rms_pull"][number] = runs.rms_pull[row]
+        values["rms_pull_error"][number] = 1.0 / np.sqrt(2.0 * runs.runs)
         others = [list(UNKNOWNS).index(other) for other in runs.names]
         correlation[number, others] = solution.covariance[row] / (solution.sigma * solution.sigma[row])
-    truth, value, sigma, pull, sigma_bound, sigma_monte_carlo, rms_pull, rms_pull_error = columns
     return TableUnknown(
-        truth=truth,
-        estimate=measured(value, sigma, unit=unit_of(name)),
-        pull=pull,
-        sigma_bound=sigma_bound,
-        sigma_monte_carlo=sigma_monte_carlo,
-        rms_pull=measured(rms_pull, rms_pull_error),
+        truth=values["truth"],
+        estimate=measured(values["estimate"], values["sigma"], unit=unit_of(name)),
+        pull=values["pull"],
+        sigma_bound=values["sigma_bound"],
+        sigma_monte_carlo=values["sigma_monte_carlo"],
+        rms_pull=measured(values["rms_pull"], values["rms_pull_error"]),
         correlation=correlation,
     )
 
@@ -370,7 +386,7 @@ class VisitedPosition:
     bundle_px: FloatArray = col("Rays", "px", dims="position axis")
     centroid_px: FloatArray = col("Centroid", "px", dims="position axis")
     sigma_px: FloatArray = col("σ", "px", dims="position axis")
-    # Against the calibration at the angles as read, non-orthogonality estimated
+    # Centroid minus image predicted by the calibration (non-orthogonality estimated) at the angles as read
     residual_px: FloatArray = col("Residual", "px", dims="position axis")
 
 
@@ -388,9 +404,10 @@ class TurntableSetup:
     map_px: FloatArray = col("Points of the map", "px", dims="point axis")
 
 
-def visited_position(case: TableCase) -> VisitedPosition:
+def tabulate_positions(case: TableCase) -> VisitedPosition:
     """Images and angles of a table; NaN for the middle axis of a table of two."""
-    visits, readings = case.measurement.visits, case.measurement.readings
+    visits = case.measurement.visits
+    readings = case.measurement.readings
     angles = np.full((2, len(visits), 3), np.nan)
     axes = [0, 2] if visits.true_rad.shape[1] == 2 else [0, 1, 2]
     angles[:, :, axes] = np.degrees([visits.true_rad, visits.reading_rad])
@@ -405,7 +422,7 @@ def visited_position(case: TableCase) -> VisitedPosition:
     )
 
 
-def setup_of(
+def describe_setup(
     config: TurntableCalibrationConfig, instrument: Instrument, traced: TracedMap, equal_arcsec: float
 ) -> TurntableSetup:
     """Light and lens."""
@@ -440,10 +457,11 @@ def axes(config: TurntableCalibrationConfig) -> Quantities:
 def run(config: TurntableCalibrationConfig, *, progress: Progress) -> dict[str, Any]:
     """Render, read, calibrate, and judge against the traced lens; then bounds and sweeps on coordinates."""
     instrument = prepare(config)
-    streams, study = Streams(config.seed).child("turntable"), config.study
+    streams = Streams(config.seed).child("turntable")
+    study = config.study
     with progress.stage("trace"):
         traced = traced_map(config, instrument)
-    cases = [table_case(config, instrument, traced, key, streams, progress) for key in TABLES]
+    cases = [calibrate_table(config, instrument, traced, key, streams, progress) for key in TABLES]
     two_axis = cases[0].coordinates
     with progress.stage("reading noise", total=len(study.reading_noise_arcsec)) as stage:
         readings = reading_sweep(
@@ -460,9 +478,9 @@ def run(config: TurntableCalibrationConfig, *, progress: Progress) -> dict[str, 
     equal = equal_reading_noise_arcsec(readings, two_axis.with_reading_noise(0.0).map_bound_arcsec(traced))
     sources = list(dict.fromkeys(source for case in cases[::-1] for source in case.noise))
     return {
-        "setup": setup_of(config, instrument, traced, equal),
-        "line_of_sight": [line_of_sight(case, instrument.pixel_arcsec) for case in cases],
-        "unknowns": [unknown(name, cases) for name in UNKNOWNS],
+        "setup": describe_setup(config, instrument, traced, equal),
+        "line_of_sight": [summarise_table(case, instrument.pixel_arcsec) for case in cases],
+        "unknowns": [compare_unknown(name, cases) for name in UNKNOWNS],
         "noise": [
             NoiseContribution(
                 noise_source=source, contribution_arcsec=[case.noise.get(source, np.nan) for case in cases]
@@ -473,7 +491,7 @@ def run(config: TurntableCalibrationConfig, *, progress: Progress) -> dict[str, 
             PriorKnowledge(known=known, map_bound_if_known_arcsec=[case.bounds_if_known[known] for case in cases])
             for known in cases[0].bounds_if_known
         ],
-        "positions": [visited_position(case) for case in cases],
+        "positions": [tabulate_positions(case) for case in cases],
         "readings": readings,
         "fields": fields,
     }
@@ -521,7 +539,7 @@ SECTIONS = {
             ),
             below(
                 "camera_model_ratio",
-                MOST_MODEL_RATIO,
+                MAX_MODEL_RATIO,
                 title="camera model against traced lens, over the predicted map error",
                 advice="the lens needs a model with more terms than Brown-Conrady, or a smaller detector",
             ),

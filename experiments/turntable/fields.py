@@ -49,13 +49,13 @@ class PrincipalPointBound:
 
 
 def field_sweep(fields_deg: Sequence[float], sigma_px: float) -> list[PrincipalPointBound]:
-    """Bounds for images of a standard deviation."""
+    """Bounds over the field for images of standard deviation ``sigma_px`` per axis."""
     points = []
     for field in fields_deg:
         model = BrownConrady.of_field(SWEEP_SENSOR, field)
         full, rolled = (ideal_bound(model, axes, sigma_px) for axes in ("xy", "xyz"))
         scale = float(SWEEP_PITCH_MM / model.value("focal_length_mm") * RAD_ARCSEC)
-        per_axis = 1.0 / float(np.sqrt(2.0))  # of a length over two axes
+        per_axis = 1.0 / float(np.sqrt(2.0))  # From the RMS length of two axes
         points.append(
             PrincipalPointBound(
                 field_deg=float(field),

@@ -33,8 +33,8 @@ class Coordinates:
 
     model: CameraModel
     bench: StarBench  # Star, table, installation
-    true_rad: FloatArray  # (n, k) Angles
-    covariance_px2: FloatArray  # (n, 2, 2) Of the centroids
+    true_rad: FloatArray  # (n, k) True angles of the table
+    covariance_px2: FloatArray  # (n, 2, 2) Covariance of the centroids
     start: CameraModel  # Start of every calibration
     start_star: FloatArray  # (3,) Start of the star's direction
 
@@ -75,8 +75,8 @@ class MonteCarlo:
     pull: FloatArray  # (r, q) Error over the standard deviation stated by the fit
     map_rms_arcsec: FloatArray  # (r,) RMS length of the error of the line of sight after the best rotation
     predicted_map_arcsec: FloatArray  # (r,) Map error predicted by the covariance of the fit
-    reduced_chi2: FloatArray  # (r,) Of each fit
-    not_converged: int  # Number of runs
+    reduced_chi2: FloatArray  # (r,) Reduced chi^2 of each fit
+    not_converged: int  # Number of runs that did not converge
 
     @property
     def runs(self) -> int:
@@ -91,7 +91,8 @@ class MonteCarlo:
     @property
     def map_arcsec(self) -> Measured:
         """RMS length of the map error over runs and field, with its standard error."""
-        square, count = self.map_rms_arcsec**2, len(self.map_rms_arcsec)
+        square = self.map_rms_arcsec**2
+        count = len(square)
         rms = float(np.sqrt(square.mean())) if count else float("nan")
         error = float(square.std(ddof=1) / np.sqrt(count) / (2 * rms)) if count > 1 else float("nan")
         return Measured(value=rms, unit="arcsec", uncertainty=error, n=count)
@@ -103,27 +104,34 @@ def map_error(calibration: Calibration, traced: TracedMap) -> LineOfSightMap:
 
 
 def monte_carlo(
-    setup: Coordinates, traced: TracedMap, streams: Streams, runs: int, *, advance: Callable[[], None] = lambda: None
+    coordinates: Coordinates,
+    traced: TracedMap,
+    streams: Streams,
+    runs: int,
+    *,
+    advance: Callable[[], None] = lambda: None,
 ) -> MonteCarlo:
     """Calibrations with independent noise; the truth is the model, not the traced lens."""
-    nominal = setup.bench.table.nominal
-    traced_model = TracedMap(direction=traced.direction, pixel_px=setup.model.project(traced.direction))
-    names = unknown_names(setup.model, setup.bench, leans=True)
+    nominal = coordinates.bench.table.nominal
+    traced_model = TracedMap(direction=traced.direction, pixel_px=coordinates.model.project(traced.direction))
+    names = unknown_names(coordinates.model, coordinates.bench, leans=True)
     errors, pulls, maps = [], [], []
     for run in range(runs):
-        data = setup.draw(streams, run)
-        calibration = calibrate_on_table(data, nominal, setup.start, leans=True, start_star=setup.start_star)
+        data = coordinates.draw(streams, run)
+        calibration = calibrate_on_table(
+            data, nominal, coordinates.start, leans=True, start_star=coordinates.start_star
+        )
         solution = calibration.solution
         if solution.converged:
             line_of_sight = map_error(calibration, traced_model)
-            errors.append(solution.value - setup.truth)
+            errors.append(solution.value - coordinates.truth)
             pulls.append(errors[-1] / solution.sigma)
             maps.append((line_of_sight.rms_arcsec, line_of_sight.predicted_rms_arcsec, solution.reduced_chi2))
         advance()
     map_rms, predicted, chi2 = np.array(maps, float).reshape(-1, 3).T
     return MonteCarlo(
         names=names,
-        truth=setup.truth,
+        truth=coordinates.truth,
         error=np.array(errors, float).reshape(-1, len(names)),
         pull=np.array(pulls, float).reshape(-1, len(names)),
         map_rms_arcsec=map_rms,
@@ -140,12 +148,12 @@ class ReadingPoint:
     reading_noise_arcsec: float = col("Noise of the mean reading", "arcsec", "g")
     measured_arcsec: Measured = col("Map error", "arcsec")
     bound_arcsec: float = col("Cramér–Rao bound", "arcsec", ".4f")
-    rms_pull: float = col("RMS pull", "", ".3f")  # Of all unknowns
+    rms_pull: float = col("RMS pull", "", ".3f")  # RMS over all unknowns and runs
     runs: int = col("Runs that converged")
 
 
 def reading_sweep(
-    setup: Coordinates,
+    coordinates: Coordinates,
     traced: TracedMap,
     streams: Streams,
     noises_arcsec: Sequence[float],
@@ -153,8 +161,9 @@ def reading_sweep(
     *,
     advance: Callable[[], None],
 ) -> list[ReadingPoint]:
-    """Monte Carlo at every reading noise, started at the truth: it tests errors, not convergence."""
-    started_at_truth, points = replace(setup, start=setup.model), []
+    """Monte Carlo at every reading noise. It starts at the true camera, because it tests errors, not convergence."""
+    started_at_truth = replace(coordinates, start=coordinates.model)
+    points = []
     for noise in noises_arcsec:
         noisy = started_at_truth.with_reading_noise(noise)
         result = monte_carlo(noisy, traced, streams.child(f"{noise:g}"), runs)

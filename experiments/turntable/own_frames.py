@@ -45,10 +45,10 @@ class PoseImage:
 
 
 def reduce(folder: FrameFolder, methods: Sequence[str], config: Any = None) -> Reduced:
-    """Joint calibration from all poses of a folder; errors as of `calibrate_poses`."""
+    """Joint calibration from all poses of a folder; raises the errors of `calibrate_poses`."""
     poses = calibrate_poses(folder, methods, ("calibration", "evaluation"))
     return poses.series, {
-        "unknowns": unknowns(poses),
+        "unknowns": tabulate_unknowns(poses),
         "errors": PoseErrors(
             poses=len(poses.series),
             map_error_arcsec=poses.map_error_arcsec,
@@ -67,7 +67,7 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any = None) -> R
     }
 
 
-def unknowns(poses: PoseCalibration) -> list[PoseUnknown]:
+def tabulate_unknowns(poses: PoseCalibration) -> list[PoseUnknown]:
     """Unknowns in the order of the estimator."""
     solution = poses.calibration.solution
     rows = zip(solution.names, measured(solution.value, solution.sigma), strict=True)

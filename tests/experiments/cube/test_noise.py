@@ -11,7 +11,7 @@ from experiments.cube.bench import NOMINAL_CUBE, SQUARE, CubeCase, build_table, 
 from experiments.cube.budget import DETECTOR_RELATIVE, reading_term
 from experiments.cube.noise import picture_noise, spot_particles_px2
 from experiments.cube.sensor import field_angles
-from experiments.cube.trim import exposed, spot_reach_mm
+from experiments.cube.trim import expose, spot_reach_mm
 from render.bench.scene import CubePose, place_cube
 from render.bench.sensor import mask_scene, trace_mask
 from render.engine.random import Streams
@@ -38,8 +38,8 @@ def test_noise_of_the_pictures_by_the_detector(laboratory):
     offsets = []
     for number in range(PICTURES):
         streams = laboratory.streams.child("repeatability", number)
-        aperture = fit_aperture(exposed(laboratory, laboratory.aperture_e, streams.child("aperture")), radius)
-        picture = exposed(laboratory, light, streams.child("spot"))
+        aperture = fit_aperture(expose(laboratory, laboratory.aperture_e, streams.child("aperture")), radius)
+        picture = expose(laboratory, light, streams.child("spot"))
         spot = fit_spot(picture, aperture, reach)
         apertures = aperture, fit_hole(picture, aperture)
         offsets.append([measure_offset(edge, spot, laboratory.pitch_mm).offset_px for edge in apertures])

@@ -14,7 +14,7 @@ from calib.calibration.table_reduction import PoseData, calibrate_on_table
 from calib.cameras import BrownConrady, SensorGeometry
 from experiments.fisher import accuracy as study
 from experiments.fisher import experiment, own_frames
-from experiments.fisher.accuracy import CalibratedBench, _path_px, accuracy, same_data
+from experiments.fisher.accuracy import CalibratedBench, _path_px, evaluate_acquisition, evaluate_calibration_data
 from experiments.fisher.settings import FisherConfig, rendered
 from experiments.harness.progress import Progress
 from experiments.laboratory.devices.turntable import build_turntable
@@ -89,7 +89,7 @@ def acquired_with(calibrated, seed, motion=None):
 def test_scatter_is_predicted_by_cause(calibrated):
     """40 acquisitions of 100 vectors: deviations of a normal distribution, a variance known to sqrt(2 / 40)."""
     motion = TableMotion(rate_rad_per_s=2e-3, jitter_s=2e-3, samples=4)
-    results = [accuracy(calibrated, acquired_with(calibrated, seed, motion)) for seed in range(40)]
+    results = [evaluate_acquisition(calibrated, acquired_with(calibrated, seed, motion)) for seed in range(40)]
     z = np.array([result.deviation_sigma for result, _, _ in results])
     assert abs(z.mean()) < 4.0 / np.sqrt(40)
     assert z.std() == pytest.approx(1.0, abs=4.0 / np.sqrt(80))
@@ -121,7 +121,7 @@ def test_scatter_is_predicted_by_cause(calibrated):
 
 def test_one_acquisition_in_numbers(calibrated):
     acquired = acquired_with(calibrated, 4, TableMotion(rate_rad_per_s=2e-3, jitter_s=0.0, samples=4))
-    result, _, _ = accuracy(calibrated, acquired)
+    result, _, _ = evaluate_acquisition(calibrated, acquired)
     assert (result.n, result.unmeasured, result.outliers) == (COUNT, 3, 0)
     assert result.streak_px == pytest.approx(2e-3 * 0.2 / PIXEL_RAD)
     kappa = result.concentration
@@ -149,7 +149,7 @@ def test_one_acquisition_in_numbers(calibrated):
 
 def test_vectors_used_in_the_calibration_scatter_less(calibrated):
     """Fourteen unknowns of 200 coordinates: 10 acquisitions of 200 numbers are known to 4 / sqrt(4000)."""
-    results = [same_data(calibrated, acquired_with(calibrated, seed)) for seed in range(10)]
+    results = [evaluate_calibration_data(calibrated, acquired_with(calibrated, seed)) for seed in range(10)]
     assert {result.unknowns for result in results} == {14}
     for result in results:
         assert result.corrected_arcsec / result.naive_arcsec == pytest.approx(np.sqrt(198.0 / 186.0))

@@ -2,7 +2,7 @@
 
 import pytest
 
-from experiments.fisher.field_of_view import _off_one, field_sweep
+from experiments.fisher.field_of_view import _percent_above_one, field_sweep
 from experiments.fisher.settings import FieldConfig
 from render.engine.random import Streams
 
@@ -19,5 +19,5 @@ def test_monte_carlo_has_the_predicted_bias() -> None:
 
 
 def test_error_of_a_mean_over_runs() -> None:
-    mean = _off_one([1.0, 1.2])
+    mean = _percent_above_one([1.0, 1.2])
     assert (mean.value, mean.uncertainty) == (pytest.approx(10.0), pytest.approx(10.0))

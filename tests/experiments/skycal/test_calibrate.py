@@ -58,7 +58,7 @@ def calibrated(scene, config, sky):
     matched, positions, chart = sky
     recording = SimpleNamespace(frames=[SimpleNamespace(star=np.zeros(70)) for _ in range(5)])
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(study, "positions", lambda *_: positions)
+        patch.setattr(study, "star_positions", lambda *_: positions)
         patch.setattr(study, "trace_chart", lambda *_: chart)
         return calibrate_camera(scene, recording, matched, config, advance=lambda: None)
 
@@ -68,7 +68,7 @@ def test_what_is_switched_on_shows_alone(calibrated):
     assert calibrated.of("reference").rms_arcsec < 1e-5
     # tan^2 of half the field is 0.04: what is left of a shift that the camera cannot tell from a tilt
     assert 0.0 < calibrated.of("light").rms_arcsec < 0.04 * SHIFT_PX * calibrated.scene.pixel_arcsec
-    assert np.abs(calibrated.clean.error_arcsec).max() < 1e-5
+    assert np.abs(calibrated.corrected_model_error.error_arcsec).max() < 1e-5
     moved, before = (calibrated.of(data).calibration.model.value("x0_px") for data in ("light", "reference"))
     assert (before, moved) == pytest.approx((3.0, 3.0 + SHIFT_PX), abs=1e-5)
     assert calibrated.of("measured").calibration.model.value("y0_px") - calibrated.of(
@@ -143,7 +143,7 @@ def test_start_cameras(scene, config):
 
 def test_records(calibrated, scene, sky, truth):
     matched, positions, chart = sky
-    result, count = tables.camera_result(calibrated), len(matched)
+    result, count = tables.summarise_camera(calibrated), len(matched)
     assert (result.rendered, result.frames, result.frames_matched, result.stars) == (350, 5, 4, count)
     assert result.stars_per_frame == pytest.approx(count / 5)
     assert (result.wrong_matches, result.wrong_match_fraction) == (3, pytest.approx(3 / count))
@@ -164,7 +164,7 @@ def test_records(calibrated, scene, sky, truth):
     assert np.abs(result.part_correlation).max() <= 1.0
     assert len(tables.PAIRS) == len(result.part_correlation)
     assert tables.PAIRS[1] == "mismatch, noise"
-    error = tables.map_error([calibrated, calibrated], "free")
+    error = tables.compare_maps([calibrated, calibrated], "free")
     assert error.noise_map_rms_arcsec == pytest.approx([calibrated.of("corrected").rms_arcsec] * 2, rel=1e-4)
     assert error.measured_predicted_arcsec[0].value == calibrated.of("measured").map.predicted_rms_arcsec
     assert error.measured_rms_arcsec == [calibrated.of("measured").rms_arcsec] * 2
@@ -173,7 +173,7 @@ def test_records(calibrated, scene, sky, truth):
         true = value + SHIFT_PX * (name == "x0_px") + PSF_PX[1] * (name == "y0_px")
         assert abs(fitted[name].value - true) < 4.5 * fitted[name].uncertainty
     assert error.corrected_sigma_f_um[0] == pytest.approx(1e3 * fitted["focal_length_mm"].uncertainty, rel=0.05)
-    brown, pinhole = tables.models(calibrated)
+    brown, pinhole = tables.compare_models(calibrated)
     assert (brown.parameters, pinhole.parameters) == (8, 3)
     assert pinhole.direct_arcsec == calibrated.direct["pinhole"].rms_arcsec > pinhole.corrected_predicted_arcsec
     rows = tables.map_points(calibrated)
@@ -190,7 +190,7 @@ def test_too_few_stars_are_refused(scene, config, sky):
     matched, positions, chart = sky
     few = {name: np.where(np.arange(len(matched))[:, None] < 49, xy, np.nan) for name, xy in positions.items()}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(study, "positions", lambda *_: few)
+        patch.setattr(study, "star_positions", lambda *_: few)
         patch.setattr(study, "trace_chart", lambda *_: chart)
         with pytest.raises(DomainError, match=r"49 good stars matched in 1 frames|at least 50 are needed"):
             calibrate_camera(scene, None, replace(matched, frame=np.arange(len(matched)) % 5), config, advance=None)
