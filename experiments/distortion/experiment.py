@@ -1,8 +1,9 @@
 """Distortion error (ACC18 eq. 17-30, Fig. 8): a surveyed grid, its residuals, the polynomial, and the true map.
 
 Mean centroids of a grid target over the whole detector minus surveyed coordinates are reduced as printed. The three
-numbers are labelled by their meaning (before, after, removed), predicted by ray trace, and compared with the true error
-of the correction between the points. `wide_field` repeats the test with dominant distortion.
+numbers sigma_d (before the polynomial), sigma_Dd (after it) and sigma_C1 (removed by it) are predicted by ray trace,
+and compared with the true error of the correction between the points. `wide_field` repeats the test with dominant
+distortion.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 
 from calib.accuracy.distortion import LABELS, REFERENCES, grid_residual_px
 from experiments.distortion.settings import DistortionConfig
-from experiments.distortion.wide_field import WIDE, wide_field, wide_run
+from experiments.distortion.wide_field import WIDE, run_wide_field, tabulate_wide_field
 from experiments.harness.drawings import arrows
 from experiments.harness.progress import Progress
 from experiments.harness.quantities import Quantities
@@ -42,10 +43,15 @@ from render.detector.maps import sensor_maps
 from render.engine.random import Streams
 from render.sensor_file.instrument import Instrument
 
+SIGMA_C1 = 2
+"""Index of sigma_C1 in sigma_d, sigma_Dd, sigma_C1."""
+COEFFICIENTS_PER_AXIS = 9
+"""Coefficients of the cubic per axis without the constant, which the comparison of maps ignores."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DistortionNumbers:
-    """The document's numbers by a centroider, 3 sigma, by conversion of coordinates to pixels."""
+    """sigma_d, sigma_Dd and sigma_C1 of ACC18 by a centroider, 3 sigma, by conversion of coordinates to pixels."""
 
     single_survey_arcsec: FloatArray = col("One survey", "arcsec", ".3f", "reference number axis")
     # RMS over independent surveys of the same target, same frames; scatter from survey to survey
@@ -54,12 +60,14 @@ class DistortionNumbers:
     predicted_arcsec: Any = col("Predicted", "arcsec", dims="reference number axis")
 
 
-def numbers(frames: DistortionMeasurement, predicted: DistortionPrediction, method: str) -> DistortionNumbers:
+def tabulate_numbers(frames: DistortionMeasurement, predicted: DistortionPrediction, method: str) -> DistortionNumbers:
     """Eq. 19-30 with the first survey and with all of them, and the prediction."""
-    scale, surveys = frames.arcsec_3sigma, len(frames.surveyed)
-    sigma = scale * np.array([frames.over_surveys(method, r) for r in REFERENCES])  # (reference, survey, number, axis)
-    expected = scale * np.array([predicted.mean_px[method][r] for r in REFERENCES])
-    scatter = scale * np.array([predicted.of_surveys_px(method, r, surveys) for r in REFERENCES])
+    scale = frames.arcsec_3sigma
+    surveys = len(frames.surveyed)
+    # (reference, survey, number, axis)
+    sigma = scale * np.array([frames.over_surveys(method, reference) for reference in REFERENCES])
+    expected = scale * np.array([predicted.mean_px[method][reference] for reference in REFERENCES])
+    scatter = scale * np.array([predicted.of_surveys_px(method, reference, surveys) for reference in REFERENCES])
     return DistortionNumbers(
         single_survey_arcsec=sigma[:, 0],
         all_surveys_arcsec=np.sqrt((sigma**2).mean(1)),
@@ -80,17 +88,19 @@ class RemovedPart:
     )
 
 
-def removed(
+def tabulate_removed(
     numbers: DistortionNumbers, frames: DistortionMeasurement, config: DistortionConfig, *, published: bool
 ) -> RemovedPart:
     """sigma_C1 of the main centroider, and the fraction of the surveys that exceed the published value."""
     row = list(REFERENCES).index(config.reference)
-    sigma_c1 = frames.arcsec_3sigma * frames.over_surveys(config.methods[0], config.reference)[:, 2]
+    sigma_c1 = frames.arcsec_3sigma * frames.over_surveys(config.methods[0], config.reference)[:, SIGMA_C1]
     above = 100.0 * (sigma_c1 >= np.array(ACC18_ARCSEC["LSFE-C1"])).mean(0)
     return RemovedPart(
-        single_survey_arcsec=numbers.single_survey_arcsec[row, 2],
-        all_surveys_arcsec=measured(numbers.all_surveys_arcsec[row, 2], numbers.survey_scatter_arcsec[row, 2]),
-        predicted_arcsec=numbers.predicted_arcsec[row, 2],
+        single_survey_arcsec=numbers.single_survey_arcsec[row, SIGMA_C1],
+        all_surveys_arcsec=measured(
+            numbers.all_surveys_arcsec[row, SIGMA_C1], numbers.survey_scatter_arcsec[row, SIGMA_C1]
+        ),
+        predicted_arcsec=numbers.predicted_arcsec[row, SIGMA_C1],
         above_published_percent=above if published else None,
     )
 
@@ -112,10 +122,12 @@ class TargetConditions:
     published_marking_error_arcsec: float | None = col("Published marking error", "arcsec", ".2f", default=None)
 
 
-def target_record(config: DistortionConfig, instrument: Instrument, *, published: bool) -> TargetConditions:
+def describe_target(config: DistortionConfig, instrument: Instrument, *, published: bool) -> TargetConditions:
     """Closed form: k terms remove sqrt((k - 1) / (W - 1)) of pure noise at W points."""
-    star, points = point_signal(config, instrument), config.target.rows * config.target.columns
-    terms, marking = (config.order + 1) * (config.order + 2) // 2, 3.0 * config.target.marking_error_arcsec
+    star = point_signal(config, instrument)
+    points = config.target.rows * config.target.columns
+    terms = (config.order + 1) * (config.order + 2) // 2
+    marking = 3.0 * config.target.marking_error_arcsec
     return TargetConditions(
         signal_e=star.signal_e,
         signal_star=star.star,
@@ -143,13 +155,16 @@ class GridPoints:
     residual_after_px: FloatArray = col("After", "px", dims="point axis")
 
 
-def points(frames: DistortionMeasurement, predicted: DistortionPrediction, config: DistortionConfig) -> GridPoints:
+def tabulate_points(
+    frames: DistortionMeasurement, predicted: DistortionPrediction, config: DistortionConfig
+) -> GridPoints:
     """Residuals of the first survey."""
-    first, light = config.methods[0], frames.light
-    statistics = frames.statistics(first, config.reference)
+    method = config.methods[0]
+    light = frames.light
+    statistics = frames.statistics(method, config.reference)
     return GridPoints(
         nominal_px=light.nominal_px,
-        measured_px=frames.session_px[first][1],
+        measured_px=frames.session_px[method][1],
         light_px=light.photon_px,
         ray_trace_px=predicted.bundle_px,
         residual_before_px=statistics.d_px,
@@ -173,20 +188,21 @@ class TrueMap:
     propagated_arcsec: FloatArray = col("Propagated point errors", "arcsec", ".3f", "reference axis")
     ratio: Any = col("After correction, all surveys / predicted", dims="reference axis")
     over_deleted: FloatArray = col("One survey / left out", format=".2f", dims="reference axis")
-    position_px: FloatArray = col("Place", "px", dims="cell axis")
+    position_px: FloatArray = col("Position", "px", dims="cell axis")
     distortion_px: FloatArray = col("Distortion", "px", dims="cell axis")
     residual_px: FloatArray = col("After the correction", "px", dims="cell axis")
 
 
-def true_map(
+def evaluate_map(
     bench: Bench, instrument: Instrument, frames: DistortionMeasurement, config: DistortionConfig, point_error_px: float
 ) -> TrueMap:
-    """Traced bundles on a dense grid, against camera and polynomial of every survey."""
-    grid, method = (config.map_rows, 2 * config.map_rows - 1), config.methods[0]
+    """Distortion of traced bundles on a dense grid minus the correction by camera and polynomial of every survey."""
+    method = config.methods[0]
+    grid = (config.map_rows, 2 * config.map_rows - 1)
     direction = dense_grid(instrument, *grid)
     nominal, position = grid_position(instrument, direction)
     traced = traced_bundles(bench, instrument, direction)
-    errors = {r: frames.map_error_px(method, r, position, traced - nominal) for r in REFERENCES}
+    errors = {reference: frames.map_error_px(method, reference, position, traced - nominal) for reference in REFERENCES}
     distortion, _ = grid_residual_px(nominal, position, traced, traced, "aligned")
     expected = [
         predict_map(
@@ -219,9 +235,7 @@ def true_map(
     }
     return TrueMap(
         **{f"{name}_arcsec": frames.arcsec_3sigma * value for name, value in by_reference_px.items()},
-        ratio=measured(
-            ratio, ratio / np.sqrt(18.0 * config.surveys)
-        ),  # RMS of two axes by about nine coefficients each
+        ratio=measured(ratio, ratio / np.sqrt(2.0 * COEFFICIENTS_PER_AXIS * config.surveys)),
         over_deleted=single_survey / np.fmax(deleted[:, 0], deleted[:, 1]),
         position_px=nominal[cells],
         distortion_px=distortion[cells],
@@ -236,11 +250,11 @@ def rms(error_px: FloatArray, axes: int | tuple[int, int] = 0) -> FloatArray:
 
 def axes(config: DistortionConfig) -> Quantities:
     """Dimensions that all sections share."""
-    q = point_quantities(config.methods)
-    q.axis("reference", list(REFERENCES), "Coordinates")
-    q.axis("number", ["sigma_d", "sigma_dd", "sigma_c1"], "Number", names=LABELS)
-    q.axis("point", np.arange(config.target.rows * config.target.columns) + 1, "Point")
-    return q
+    quantities = point_quantities(config.methods)
+    quantities.axis("reference", list(REFERENCES), "Coordinates")
+    quantities.axis("number", ["sigma_d", "sigma_dd", "sigma_c1"], "Number", names=LABELS)
+    quantities.axis("point", np.arange(config.target.rows * config.target.columns) + 1, "Point")
+    return quantities
 
 
 def run(config: DistortionConfig, *, progress: Progress) -> dict[str, Any]:
@@ -274,17 +288,17 @@ def run(config: DistortionConfig, *, progress: Progress) -> dict[str, Any]:
         )
     with progress.stage("map"):
         point_error = float((predicted.point_px[config.methods[0]] ** 2).mean() ** 0.5)
-        field_map = true_map(bench, instrument, frames, config, point_error)
+        field_map = evaluate_map(bench, instrument, frames, config, point_error)
     published = is_published_sensor(config)
-    by_method = [numbers(frames, predicted, method) for method in config.methods]
+    by_method = [tabulate_numbers(frames, predicted, method) for method in config.methods]
     return {
-        "target": target_record(config, instrument, published=published),
+        "target": describe_target(config, instrument, published=published),
         "numbers": by_method[0],
         "centroiders": by_method,
-        "removed": removed(by_method[0], frames, config, published=published),
-        "points": points(frames, predicted, config),
+        "removed": tabulate_removed(by_method[0], frames, config, published=published),
+        "points": tabulate_points(frames, predicted, config),
         "map": field_map,
-        "wide": wide_field(wide_run(config, streams.child("wide field"), progress=progress)),
+        "wide": tabulate_wide_field(run_wide_field(config, streams.child("wide field"), progress=progress)),
     }
 
 
@@ -295,8 +309,8 @@ SECTIONS = {
         record=DistortionNumbers,
         table="distortion",
         caption="ACC18's three numbers (3 σ), first centroider.",
-        note=f"Conversion of surveyed places to pixels: {COORDINATES}. *All surveys*: RMS over independent surveys of "
-        "the same target, same frames.",
+        note=f"Conversion of surveyed positions to pixels: {COORDINATES}. *All surveys*: RMS over independent surveys "
+        "of the same target, same frames.",
     ),
     "centroiders": Section(
         record=DistortionNumbers,

@@ -1,6 +1,6 @@
 """The grid test on a wide field, where distortion dominates C1, against the prescription.
 
-With the document's camera the polynomial removes little but marking errors, and frames with a wrong distortion would
+With ACC18's camera the polynomial removes little but marking errors, and frames with a wrong distortion would
 pass. Here the distortion is hundreds of times the marking error: with shift, roll and scale fitted, the numbers before,
 after and removed are the distortion of the traced lens, and the comparison tests the rendered distortion.
 """
@@ -29,6 +29,8 @@ from render.sensor_file.tables import PassbandConfig
 
 REFERENCE: Reference = "aligned"
 """Shift, roll and scale fitted: the residual is the distortion."""
+ALIGNED_PARAMETERS = 4
+"""Shift in x and y, roll, scale."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,7 +77,7 @@ class WideRun:
     marking_px: FloatArray  # (3, 2) Numbers of marking errors alone
 
 
-def wide_run(config: DistortionConfig, streams: Streams, *, progress: Progress) -> WideRun:
+def run_wide_field(config: DistortionConfig, streams: Streams, *, progress: Progress) -> WideRun:
     """Render, read out, reduce and predict the test on the wide field."""
     wide = config.wide
     changes = {"instrument": wide.instrument, "passband": PassbandConfig(), "compare": ()}
@@ -102,15 +104,17 @@ def wide_run(config: DistortionConfig, streams: Streams, *, progress: Progress) 
     return WideRun(method=config.methods[0], frames=frames, predicted=predicted, marking_px=marking.rms_px)
 
 
-def wide_field(run: WideRun) -> WideField:
+def tabulate_wide_field(run: WideRun) -> WideField:
     """Numbers of the first survey and of the prescription, and its residuals point by point."""
-    frames, predicted, scale = run.frames, run.predicted, run.frames.arcsec_3sigma
-    statistics, expected_px = frames.statistics(run.method, REFERENCE), predicted.position_px[run.method]
+    frames = run.frames
+    predicted = run.predicted
+    scale = frames.arcsec_3sigma
+    statistics = frames.statistics(run.method, REFERENCE)
+    expected_px = predicted.position_px[run.method]
     nominal, position = grid_position(frames.instrument, frames.direction)
     distortion, _ = grid_residual_px(nominal, position, expected_px, expected_px, REFERENCE)
-    ratio, scatter = misfit_ratio(
-        statistics.d_px - distortion, np.hypot(predicted.point_px[run.method], predicted.marking_px), parameters=4
-    )  # parameters: shift, roll and scale
+    error_px = np.hypot(predicted.point_px[run.method], predicted.marking_px)
+    ratio, scatter = misfit_ratio(statistics.d_px - distortion, error_px, parameters=ALIGNED_PARAMETERS)
     return WideField(
         measured_arcsec=scale * statistics.sigma_px,
         predicted_arcsec=measured(

@@ -1,4 +1,4 @@
-"""High spatial frequency error (ACC18 eq. 3-12): by centroider, by cause, along the path."""
+"""High-spatial-frequency error, HSFE (ACC18 eq. 3-12): by centroider, by cause, along the path of the hexapod."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ from render.sensor_file.instrument import Instrument
 
 AxisValues = Sequence[Measured]
 MODEL_SLACK = 0.03
-"""Largest relative error of the linear model: noise smooths the S-curve of a threshold by so much."""
+"""Largest relative error of the linear model: noise smooths the S-curve of a thresholding centroider by 3 %."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +61,7 @@ class TestConditions:
     signal_star: str = col("Star")
     hsfe_arcsec: AxisValues = col("HSFE as printed", "arcsec", dims="axis")
     published_arcsec: Sequence[float] | None = col("Published", "arcsec", ".2f", "axis", default=None)
-    # True motion of the light in the steps without the mean over the stars: roll and distortion
+    # RMS of the true steps minus their mean over the stars: roll of the hexapod and distortion of the lens
     residual_motion_px: FloatArray = col("Residual motion", "px", ".5f", "axis")
     residual_arcsec: FloatArray = col("Residuals of the steps", "arcsec", ".3f", "step star axis")
 
@@ -78,23 +78,26 @@ class StepErrors:
     single_position_predicted_arcsec: FloatArray = col("Single position, predicted", "arcsec", ".3f", "axis")
     single_position_ratio: AxisValues = col("One position, ratio", "", ".3f", "axis", shown=False)
     prior_predicted_arcsec: AxisValues = col("Predicted before the test", "arcsec", ".3f", "axis", shown=False)
-    # No verdict: a large step error of the hexapod changes it by more than a normal deviate
+    # Not judged: with a large step error of the hexapod its distribution is not normal
     prior_ratio: AxisValues = col("Ratio to the prediction before the test", "", ".3f", "axis", shown=False)
     dark_frames_arcsec: FloatArray = col("Noise of the dark frames", "arcsec", ".3f", "axis", shown=False)
     roll_arcsec: FloatArray = col("Roll of the hexapod", "arcsec", ".3f", "axis", shown=False)
     quadrature_arcsec: FloatArray = col("Parts in quadrature", "arcsec", ".3f", "axis", shown=False)
 
 
-def steps(
+def tabulate_steps(
     frames: HighFrequencyMeasurement, prior: StepPrediction, posterior: StepPrediction, method: str
 ) -> StepErrors:
-    """Measured; predicted for drawn paths of the hexapod (prior) and for the path that the images show."""
-    scale, hsfe = 3.0 * frames.pixel_arcsec, frames.high_frequency_error(method)
-    mean, sigma = frames.mean_px(method), frames.sigma_px(method)
-    step_rms, single = step_rms_px(mean), frames.single_px(method)
-    single_scatter = np.hypot(posterior.position_rms_scatter_px, position_rms_scatter_px(single, sigma, frames.frames))
-    parts_px = {
-        "independent_position": independent_position_rms_px(step_rms, sigma, frames.frames),
+    """HSFE measured, predicted for sampled paths of the hexapod (prior) and for the measured path (posterior)."""
+    scale = 3.0 * frames.pixel_arcsec
+    hsfe = frames.high_frequency_error(method)
+    sigma_px = frames.sigma_px(method)
+    step_rms = step_rms_px(frames.mean_px(method))
+    single = frames.single_px(method)
+    noise_scatter = position_rms_scatter_px(single, sigma_px, frames.frames)
+    single_scatter = np.hypot(posterior.position_rms_scatter_px, noise_scatter)
+    rms_px = {
+        "independent_position": independent_position_rms_px(step_rms, sigma_px, frames.frames),
         "single_position": single,
         "single_position_predicted": posterior.position_rms_px,
         "dark_frames": posterior.dark_px,
@@ -105,15 +108,15 @@ def steps(
         measured_arcsec=measured(hsfe.arcsec, hsfe.uncertainty_arcsec, n=hsfe.n, unit="arcsec"),
         predicted_arcsec=measured(scale * posterior.step_rms_px, scale * posterior.step_rms_scatter_px),
         prior_predicted_arcsec=measured(scale * prior.step_rms_px, scale * prior.step_rms_scatter_px),
-        ratio=over(step_rms, posterior.step_rms_px, posterior.step_rms_scatter_px),
-        prior_ratio=over(step_rms, prior.step_rms_px, prior.step_rms_scatter_px),
-        single_position_ratio=over(single, posterior.position_rms_px, single_scatter),
-        **{f"{name}_arcsec": scale * part for name, part in parts_px.items()},
+        ratio=measured_over_predicted(step_rms, posterior.step_rms_px, posterior.step_rms_scatter_px),
+        prior_ratio=measured_over_predicted(step_rms, prior.step_rms_px, prior.step_rms_scatter_px),
+        single_position_ratio=measured_over_predicted(single, posterior.position_rms_px, single_scatter),
+        **{f"{name}_arcsec": scale * rms for name, rms in rms_px.items()},
     )
 
 
-def over(value: FloatArray, expected: FloatArray, scatter: FloatArray) -> AxisValues:
-    """Measured over predicted; the uncertainty is the scatter of the prediction over chips, paths and noise."""
+def measured_over_predicted(value: FloatArray, expected: FloatArray, scatter: FloatArray) -> AxisValues:
+    """Measured over predicted; its uncertainty is the scatter of the prediction over detectors, paths and noise."""
     ratios: AxisValues = measured(value / expected, scatter / expected)
     return ratios
 
@@ -138,11 +141,12 @@ class CauseErrors:
     single_position_predicted_arcsec: FloatArray = col("Predicted", "arcsec", ".4f", "method axis")
 
 
-def causes(
+def tabulate_causes(
     frames: HighFrequencyMeasurement, prediction: HighFrequencyPrediction, methods: Sequence[str]
 ) -> list[CauseErrors]:
-    """Causes, and averaged temporal noise, which cannot be switched off."""
-    scale, models = 3.0 * frames.pixel_arcsec, [prediction.method[m] for m in methods]
+    """`CAUSES`, and averaged temporal noise, which cannot be switched off."""
+    scale = 3.0 * frames.pixel_arcsec
+    models = [prediction.method[method] for method in methods]
     switched = [
         CauseErrors(
             alone_arcsec=scale * np.array([frames.cause_px(m, cause) for m in methods]),
@@ -166,7 +170,7 @@ def causes(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SCurves:
-    """S-curves: error of noiseless centroids of the middle star along x over a pixel, mean over phases in y."""
+    """S-curves: error of noiseless centroids of the central star along x over a pixel, mean over phases in y."""
 
     phase_px: FloatArray = col("Position of the star in its pixel", "px", dims="phase")
     s_curve_px: FloatArray = col("Centroid − truth", "px", "", "method phase")
@@ -186,9 +190,10 @@ ROW_PHASES = (-0.4, -0.2, 0.0, 0.2, 0.4)
 """Pixel phases across the row over which an S-curve is averaged."""
 
 
-def s_curves(bench: Bench, instrument: Instrument, psf: EffectivePsf) -> SCurves:
+def compute_s_curves(bench: Bench, instrument: Instrument, psf: EffectivePsf) -> SCurves:
     """S-curves of a star from its PSF."""
-    size, phase_px = bench.window_px, np.linspace(-0.5, 0.5, PHASES)
+    size = bench.window_px
+    phase_px = np.linspace(-0.5, 0.5, PHASES)
     position_px = np.stack(np.meshgrid(phase_px, ROW_PHASES), axis=-1).reshape(-1, 2) + size // 2
     corner_px = np.zeros(position_px.shape, np.int64)
     windows = expected_windows([psf], position_px, bench.signal_e, window_px=size, corner_px=corner_px)
@@ -206,7 +211,7 @@ def axes(config: HsfeConfig) -> Quantities:
 
 
 def run(config: HsfeConfig, *, progress: Progress) -> dict[str, Any]:
-    """Step, read out, reduce, predict."""
+    """Predict the test, step and read out, predict again for the measured path."""
     bench, instrument = point_laboratory(config, config.target)
     check_steps(config.steps, bench)
     rest = star_target_directions(bench, instrument, config.place_px)
@@ -236,15 +241,17 @@ def run(config: HsfeConfig, *, progress: Progress) -> dict[str, Any]:
             **test,
         )
     with progress.stage("after the test"):
-        # common shift by a method without S-curve
+        # common shift of the image at each position, by a centroider without S-curve (`motion_method`)
         shift_px = (frames.mean_px(motion_method(bench.methods)) - prior.position_px).mean(1)
         posterior = predict_high_frequency(
             bench, instrument, config.steps, shift_px=shift_px, corner_px=frames.corner_px, **model
         )
-        curves = s_curves(bench, instrument, model["psf"][len(rest) // 2])
-    first, star = config.methods[0], point_signal(config, instrument)
-    residual_px = step_residual_px(frames.mean_px(first))
-    by_method = [steps(frames, prior.method[m], posterior.method[m], m) for m in config.methods]
+        s_curves = compute_s_curves(bench, instrument, model["psf"][len(rest) // 2])
+    star = point_signal(config, instrument)
+    residual_px = step_residual_px(frames.mean_px(config.methods[0]))
+    by_method = [
+        tabulate_steps(frames, prior.method[method], posterior.method[method], method) for method in config.methods
+    ]
     return {
         "test": TestConditions(
             frames=frames.frames,
@@ -261,8 +268,8 @@ def run(config: HsfeConfig, *, progress: Progress) -> dict[str, Any]:
             residual_arcsec=frames.pixel_arcsec * residual_px,
         ),
         "steps": by_method,
-        "causes": causes(frames, posterior, config.methods),
-        "s_curves": curves,
+        "causes": tabulate_causes(frames, posterior, config.methods),
+        "s_curves": s_curves,
         "residuals": [
             StepResiduals(residual_px=measured_px, light_px=light_px)
             for measured_px, light_px in zip(residual_px, step_residual_px(frames.photon_px), strict=True)
@@ -285,7 +292,7 @@ SECTIONS = {
         note="*HSFE of ACC18*: eq. 9-12, the RMS difference of neighbouring positions, "
         "temporal noise included. *HSFE / √2*: without temporal noise, divided by √2, as for "
         "independent errors. *Single position*: mean centroid minus truth, common motion and temporal "
-        "noise removed. Predicted ±: from chip to chip.",
+        "noise removed. Predicted ±: from detector to detector.",
         verdicts=[
             agree(name, 1.0, each="method", slack=MODEL_SLACK, title=title)
             for name, title in (

@@ -1,4 +1,4 @@
-"""High spatial frequency error of a laboratory's own frames (ACC18 eq. 3-12): every series is a position."""
+"""High-spatial-frequency error (HSFE) of a laboratory's own frames (ACC18 eq. 3-12): every series is a position."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class PathErrors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PositionOrder:
-    """Interchanged positions."""
+    """Pairs of positions whose files are interchanged."""
 
     descriptions: Sequence[str]
     exchanged: int = col("Pairs of positions that are exchanged")
@@ -68,16 +68,18 @@ def interval_text(error: PositionError, axis: int, scale: float) -> str:
     return f"{value:.3f} ({low:.3f} to {high:.3f} at {error.level:.0%})"
 
 
-def steps(series: Sequence[SeriesFrames], methods: Sequence[str], scale: float) -> PathErrors:
+def reduce_steps(series: Sequence[SeriesFrames], methods: Sequence[str], scale: float) -> PathErrors:
     """HSFE as printed, and error of a single position (analysis of variance); ``scale``: 3 sigma, [arcsec/px]."""
-    mean = {m: np.stack([s.points.mean_px(m) for s in series]) for m in methods}
-    frames = np.array([s.frames for s in series])
-    errors = [position_error(mean[m], np.stack([s.points.sigma_px(m) for s in series]), frames) for m in methods]
-    terms = [high_frequency_error(mean[m], scale / 3.0) for m in methods]
-    value, error = (np.array([getattr(term, part) for term in terms]) for part in ("arcsec", "uncertainty_arcsec"))
-    low, high = scatter_interval(value, error / value)
+    frames = np.array([position.frames for position in series])
+    mean_px = {method: np.stack([position.points.mean_px(method) for position in series]) for method in methods}
+    sigma_px = {method: np.stack([position.points.sigma_px(method) for position in series]) for method in methods}
+    errors = [position_error(mean_px[method], sigma_px[method], frames) for method in methods]
+    terms = [high_frequency_error(mean_px[method], scale / 3.0) for method in methods]
+    value = np.array([term.arcsec for term in terms])
+    sigma = np.array([term.uncertainty_arcsec for term in terms])
+    low, high = scatter_interval(value, sigma / value)
     return PathErrors(
-        hsfe_arcsec=measured(value, error, n=terms[0].n, unit="arcsec"),
+        hsfe_arcsec=measured(value, sigma, n=terms[0].n, unit="arcsec"),
         low_arcsec=low,
         high_arcsec=high,
         single_text=[[interval_text(single, axis, scale) for axis in range(2)] for single in errors],
@@ -86,7 +88,7 @@ def steps(series: Sequence[SeriesFrames], methods: Sequence[str], scale: float) 
         single_high_arcsec=scale * np.array([np.where(single.low_px > 0, single.high_px, np.nan) for single in errors]),
         single_upper_arcsec=scale * np.array([single.upper_px for single in errors]),
         single_degrees_of_freedom=np.array([single.degrees for single in errors]),
-        residual_arcsec=scale / 3.0 * step_residual_px(mean[methods[0]]),
+        residual_arcsec=scale / 3.0 * step_residual_px(mean_px[methods[0]]),
     )
 
 
@@ -101,25 +103,27 @@ def exchange_text(pair: tuple[int, int], commanded_px: FloatArray, names: Sequen
 
 
 def reduce(folder: FrameFolder, methods: Sequence[str], config: Any = None) -> Reduced:
-    """High spatial frequency error of a folder."""
+    """High-spatial-frequency error (HSFE) of a folder."""
     if len(folder.series) < 2:
         raise DomainError(f"{len(folder.series)} position; at least 2 [[series]] are needed")
     if len(folder.series[0].detected_px) < 2:
         raise DomainError("1 target point; at least 2 are needed, because the mean over the points is removed")
     series = [reduce_series(folder, position, methods) for position in folder.series]
-    mean = np.stack([s.points.mean_px(methods[0]) for s in series])
+    mean_px = np.stack([position.points.mean_px(methods[0]) for position in series])
+    shift_px = (mean_px - mean_px[0]).mean(1)
     unknown = (float("nan"), float("nan"))
-    shift, commanded = (mean - mean[0]).mean(1), np.array([s.settings.shift_px or unknown for s in series])
-    pair = exchanged_positions(shift, commanded)
-    descriptions = [] if pair is None else [exchange_text(pair, commanded, [s.name for s in series])]
+    commanded_px = np.array([position.settings.shift_px or unknown for position in series])
+    pair = exchanged_positions(shift_px, commanded_px)
+    names = [position.name for position in series]
+    descriptions = [] if pair is None else [exchange_text(pair, commanded_px, names)]
     return series, {
-        "steps": steps(series, methods, 3.0 * folder.settings.pixel_arcsec),
+        "steps": reduce_steps(series, methods, 3.0 * folder.settings.pixel_arcsec),
         "positions": [
-            SeriesShift(measured_px=measured_px, commanded_px=commanded_px)
-            for measured_px, commanded_px in zip(shift, commanded, strict=True)
+            SeriesShift(measured_px=measured_shift_px, commanded_px=commanded_shift_px)
+            for measured_shift_px, commanded_shift_px in zip(shift_px, commanded_px, strict=True)
         ],
         "order": PositionOrder(descriptions=descriptions, exchanged=len(descriptions))
-        if np.isfinite(commanded).all()
+        if np.isfinite(commanded_px).all()
         else None,
         **points_of(folder, series[-1], methods[0]),
     }

@@ -54,30 +54,36 @@ class LevelScatter:
     published_arcsec: Sequence[float] | None = col("Published", "arcsec", dims="axis", shown=False, default=None)
 
 
-def scatter(
+def tabulate_level(
     measured: TemporalMeasurement, predicted: TemporalPrediction, methods: Sequence[str], star: Signal, level: int = 0
 ) -> LevelScatter:
-    """Eq. 1-2 of the frames at one level; the ratios leave out the small-sample factor of a standard deviation."""
-    c4, signal_e = small_sample_factor(measured.frames), float(measured.levels_e[level])
-    terms = [measured.temporal_error(m, level) for m in methods]
-    value, error = _arrays(terms)
-    drawn, drawn_error = _arrays([predicted.sampled_error(m, level) for m in methods])
+    """Eq. 1-2 of the frames at one level.
+
+    E[s] = c4(N) sigma for the standard deviation s of N frames: the ratios divide the measured values by c4.
+    """
+    signal_e = float(measured.levels_e[level])
+    c4 = small_sample_factor(measured.frames)
+    terms = [measured.temporal_error(method, level) for method in methods]
+    value, sigma = _stack_terms(terms)
+    expected, expected_sigma = _stack_terms([predicted.sampled_error(method, level) for method in methods])
     bound = predicted.arcsec(predicted.bound_px[level])
-    ratio, over_cramer_rao, count = value / (c4 * drawn), value / (c4 * bound), terms[0].n
+    ratio = value / (c4 * expected)
+    over_cramer_rao = value / (c4 * bound)
+    count = terms[0].n
     return LevelScatter(
         signal_e=signal_e,
         magnitude_mag=star.magnitude_of(signal_e),
-        measured_arcsec=with_error(value, error, n=count, unit="arcsec"),
-        predicted_arcsec=drawn,
-        predicted_linear_arcsec=np.array([predicted.arcsec(predicted.linear_px[m][level]) for m in methods]),
+        measured_arcsec=with_error(value, sigma, n=count, unit="arcsec"),
+        predicted_arcsec=expected,
+        predicted_linear_arcsec=np.array([predicted.arcsec(predicted.linear_px[method][level]) for method in methods]),
         cramer_rao_arcsec=bound,
-        ratio=with_error(ratio, ratio * np.hypot(error / value, drawn_error / drawn), n=count),
-        over_cramer_rao=with_error(over_cramer_rao, over_cramer_rao * error / value, n=count),
+        ratio=with_error(ratio, ratio * np.hypot(sigma / value, expected_sigma / expected), n=count),
+        over_cramer_rao=with_error(over_cramer_rao, over_cramer_rao * sigma / value, n=count),
     )
 
 
-def _arrays(terms: Sequence[ErrorTerm]) -> tuple[FloatArray, FloatArray]:
-    """Values and uncertainties (term, axis)."""
+def _stack_terms(terms: Sequence[ErrorTerm]) -> tuple[FloatArray, FloatArray]:
+    """Values and standard deviations (term, axis)."""
     return np.array([term.arcsec for term in terms]), np.array([term.uncertainty_arcsec for term in terms])
 
 
@@ -102,15 +108,15 @@ class Conditions:
     deviation_arcsec: FloatArray = col("Centroids about their mean", "arcsec", dims="frame star axis")
 
 
-def stars(measured: TemporalMeasurement, predicted: TemporalPrediction, method: str) -> list[StarScatter]:
+def tabulate_stars(measured: TemporalMeasurement, predicted: TemporalPrediction, method: str) -> list[StarScatter]:
     """Every star at the first level."""
-    expected = predicted.sampled_px[method][0]
-    error = expected * small_sample_factor(measured.frames) * relative_scatter(measured.frames)
-    sigma = with_error(measured.sigma_px[method][0], error)
-    rows = zip(measured.light.photon_px, sigma, expected, predicted.bound_px[0], strict=True)
+    expected_px = predicted.sampled_px[method][0]
+    uncertainty_px = expected_px * small_sample_factor(measured.frames) * relative_scatter(measured.frames)
+    sigma_px = with_error(measured.sigma_px[method][0], uncertainty_px)
+    rows = zip(measured.light.photon_px, sigma_px, expected_px, predicted.bound_px[0], strict=True)
     return [
-        StarScatter(light_px=light, sigma_px=star_sigma, predicted_px=drawn, cramer_rao_px=bound)
-        for light, star_sigma, drawn, bound in rows
+        StarScatter(light_px=light, sigma_px=sigma, predicted_px=expected, cramer_rao_px=bound)
+        for light, sigma, expected, bound in rows
     ]
 
 
@@ -119,23 +125,30 @@ def axes(config: TemporalConfig) -> Quantities:
     return point_quantities(config.methods)
 
 
+def _true_levels_e(config: TemporalConfig, streams: Streams) -> FloatArray:
+    """Commanded signals, each with a log-normal setting error of the source."""
+    brightness = config.brightness
+    commanded_e = np.geomspace(brightness.lowest_e, brightness.highest_e, brightness.levels)
+    normal_deviates = streams.generator("brightness").standard_normal(len(commanded_e))
+    return commanded_e * np.exp(brightness.setting_error_ratio * normal_deviates)
+
+
 def run(config: TemporalConfig, *, progress: Progress) -> dict[str, Any]:
-    """Render, read out, reduce, predict."""
+    """Measure and predict the temporal error against signal and at the signal of the source."""
     bench, instrument = point_laboratory(config, config.target)
-    streams, levels, methods = Streams(config.seed).child("temporal"), config.brightness, config.methods
-    wanted = np.geomspace(levels.lowest_e, levels.highest_e, levels.levels)
-    deviates = streams.generator("brightness").standard_normal(len(wanted))
-    reached = wanted * np.exp(levels.setting_error_ratio * deviates)
+    streams = Streams(config.seed).child("temporal")
+    methods = config.methods
+    levels_e = _true_levels_e(config, streams)
     scene = prepared_scene(
         bench, instrument, star_target_directions(bench, instrument, config.place_px)[None], progress
     )
-    with progress.stage("frames", total=len(reached) + 1) as stage:
+    with progress.stage("frames", total=len(levels_e) + 1) as stage:
         test: dict[str, Any] = {"scene": scene, "place_px": config.place_px, "advance": stage.advance}
-        measured = measure_temporal(bench, instrument, levels_e=reached, streams=streams, **test)
+        measured = measure_temporal(bench, instrument, levels_e=levels_e, streams=streams, **test)
         nominal = measure_temporal(bench, instrument, streams=streams.child("nominal"), **test)
     with progress.stage("prediction"):
         model: dict[str, Any] = {"psf": nominal.light.psf, "draws": config.draws, "place_px": config.place_px}
-        predicted = predict_temporal(bench, instrument, levels_e=reached, seed=config.seed, **model)
+        predicted = predict_temporal(bench, instrument, levels_e=levels_e, seed=config.seed, **model)
         at_nominal = predict_temporal(bench, instrument, seed=config.seed + 1, **model)
     star = point_signal(config, instrument)
     centroids_px = nominal.position_px[methods[0]][0]
@@ -149,9 +162,9 @@ def run(config: TemporalConfig, *, progress: Progress) -> dict[str, Any]:
             signal_star=star.star,
             deviation_arcsec=instrument.pixel_arcsec * (centroids_px - np.nanmean(centroids_px, axis=0)),
         ),
-        "nominal": replace(scatter(nominal, at_nominal, methods, star), **published),
-        "levels": [scatter(measured, predicted, methods, star, level) for level in range(len(reached))],
-        "stars": stars(nominal, at_nominal, methods[0]),
+        "nominal": replace(tabulate_level(nominal, at_nominal, methods, star), **published),
+        "levels": [tabulate_level(measured, predicted, methods, star, level) for level in range(len(levels_e))],
+        "stars": tabulate_stars(nominal, at_nominal, methods[0]),
         "line_of_sight": line_of_sight(bench, instrument, motion_px2),
     }
 

@@ -31,10 +31,10 @@ class SeriesScatter:
     ratio: FloatArray = col("Ratio", "", ".3f", "method axis")
 
 
-def level(series: SeriesFrames, methods: Sequence[str], pixel_arcsec: float) -> SeriesScatter:
+def reduce_level(series: SeriesFrames, methods: Sequence[str], pixel_arcsec: float) -> SeriesScatter:
     """Temporal error of a series; the ratio is corrected for the small-sample factor of the measured values."""
-    terms = [temporal_error(series.points.sigma_px(m), pixel_arcsec, series.frames) for m in methods]
-    model = np.array([3.0 * pixel_arcsec * series.predicted_px(m).mean(0) for m in methods])
+    terms = [temporal_error(series.points.sigma_px(method), pixel_arcsec, series.frames) for method in methods]
+    model = np.array([3.0 * pixel_arcsec * series.predicted_px(method).mean(0) for method in methods])
     value = np.array([term.arcsec for term in terms])
     error = np.array([series.widening(m) * term.uncertainty_arcsec for m, term in zip(methods, terms, strict=True)])
     unbiased = value / small_sample_factor(series.frames)
@@ -49,9 +49,15 @@ def level(series: SeriesFrames, methods: Sequence[str], pixel_arcsec: float) -> 
 
 
 def reduce(folder: FrameFolder, methods: Sequence[str], config: Any = None) -> Reduced:
-    """Temporal error of every series of a folder; errors as of `reduce_series`."""
+    """Temporal error of every series of a folder.
+
+    Raises
+    ------
+    StarbenchError
+        As `reduce_series`.
+    """
     reduced = [reduce_series(folder, series, methods, every_model=True) for series in folder.series]
-    levels = [level(series, methods, folder.settings.pixel_arcsec) for series in reduced]
+    levels = [reduce_level(series, methods, folder.settings.pixel_arcsec) for series in reduced]
     return reduced, {"levels": levels, **points_of(folder, reduced[-1], methods[0])}
 
 

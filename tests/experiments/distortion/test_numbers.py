@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.accuracy.distortion_prediction import ExpectedMapError
 from experiments.distortion import experiment as study
-from experiments.distortion.experiment import numbers, points, removed, true_map
+from experiments.distortion.experiment import evaluate_map, tabulate_numbers, tabulate_points, tabulate_removed
 from experiments.distortion.settings import DistortionConfig
 from experiments.laboratory.bench.points import nominal_px
 from experiments.laboratory.distortion_error import DistortionMeasurement, dense_grid
@@ -65,7 +65,7 @@ def prediction(config, point_px=0.01):
 def test_a_polynomial_divides_marking_error_by_its_degrees_of_freedom(small_camera, config):
     """Of W points with error s, k terms leave s sqrt((W - k) / (W - 1)) and take s sqrt((k - 1) / (W - 1))."""
     frames = measured_on(small_camera, config, marking_error_arcsec=MARKING_ARCSEC, bent=False)
-    found = numbers(frames, prediction(config), config.methods[0])
+    found = tabulate_numbers(frames, prediction(config), config.methods[0])
     count, terms, error = ROWS * COLUMNS, (ORDER + 1) * (ORDER + 2) // 2, 3.0 * MARKING_ARCSEC
     for name, freedom in enumerate((count - 1, count - terms, terms - 1)):
         size = error * np.sqrt(freedom / (count - 1))
@@ -79,15 +79,15 @@ def test_a_polynomial_divides_marking_error_by_its_degrees_of_freedom(small_came
     for k in range(3):
         one = found.predicted_arcsec[k][2][1]
         assert (one.value, one.uncertainty) == pytest.approx((0.6 * scale * (k + 1), 0.6 * scale * (k + 1) / SURVEYS))
-    taken = removed(found, frames, config, published=True)
+    taken = tabulate_removed(found, frames, config, published=True)
     assert [one.uncertainty for one in taken.all_surveys_arcsec] == pytest.approx(found.survey_scatter_arcsec[0, 2])
     assert list(taken.above_published_percent) == [100.0, 100.0]  # six arcsec of marking against some 0.4
-    assert removed(found, frames, config, published=False).above_published_percent is None
+    assert tabulate_removed(found, frames, config, published=False).above_published_percent is None
 
 
 def test_points_of_the_first_survey(small_camera, config):
     frames = measured_on(small_camera, config, marking_error_arcsec=0.0)
-    rows = points(frames, prediction(config), config)
+    rows = tabulate_points(frames, prediction(config), config)
     np.testing.assert_allclose(rows.residual_before_px, bent_px(rows.nominal_px, small_camera.camera), atol=1e-6)
     np.testing.assert_allclose(rows.residual_after_px, 0.0, atol=1e-6)
     np.testing.assert_array_equal(rows.measured_px, rows.light_px)
@@ -102,7 +102,7 @@ def test_the_map_of_a_distortion_that_the_polynomial_knows(small_camera, config,
     forecast = ExpectedMapError(bias_px=np.array([0.3, 0.0]), noise_px=np.array([0.4, 0.2]))
     monkeypatch.setattr(study, "predict_map", lambda *_, **__: forecast)
     frames = measured_on(small_camera, config, marking_error_arcsec=0.0)
-    found = true_map(None, small_camera, frames, config, 0.01)
+    found = evaluate_map(None, small_camera, frames, config, 0.01)
     scale = 3.0 * small_camera.pixel_arcsec
     assert np.abs(found.single_survey_arcsec[:2]).max() < 1e-6
     assert np.abs(found.single_survey_arcsec[2]).max() < 0.01  # its camera holds a cubic, which the polynomial does not
@@ -121,7 +121,7 @@ def test_the_map_of_a_distortion_that_the_polynomial_knows(small_camera, config,
     assert found.point_deleted_arcsec[:2].max() < 1e-4
     # marking errors: the RMS over the surveys of the maps, each of its own polynomial
     marked = measured_on(small_camera, config, marking_error_arcsec=MARKING_ARCSEC)
-    noisy = true_map(None, small_camera, marked, config, 0.01)
+    noisy = evaluate_map(None, small_camera, marked, config, 0.01)
     one_right = replace(frames, surveyed=np.concatenate([frames.surveyed[:1], marked.surveyed[1:]]))
     assert one_right.deleted_rms_px(config.methods[0], "nominal").max() < 1e-4  # the first survey is the one in use
     # a fit of k = 6 terms to W = 20 points: k / W of the variance at the points, shift and roll taken out

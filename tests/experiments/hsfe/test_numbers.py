@@ -9,7 +9,7 @@ import pytest
 from scipy.special import erf
 
 from calib.accuracy.step_prediction import CAUSES
-from experiments.hsfe.experiment import CAUSE_NAMES, causes, s_curves, steps
+from experiments.hsfe.experiment import CAUSE_NAMES, compute_s_curves, tabulate_causes, tabulate_steps
 from experiments.laboratory.high_frequency import HighFrequencyMeasurement
 from render.records import EffectivePsf
 
@@ -62,7 +62,7 @@ def test_independent_errors_show_sqrt_2_times_and_once(frames):
     """Document: sqrt(2 (e^2 + s^2/N + light^2)); one position: e alone. Their counts give the limits."""
     share = np.sqrt(1.0 - 1.0 / STARS)
     document = np.sqrt(2.0 * (ERROR_PX**2 + NOISE_PX**2 / FRAMES + 0.005**2)) * share
-    found = steps(frames, model(2.0 * document, ERROR_PX), model(document, 0.5 * ERROR_PX), "cog")
+    found = tabulate_steps(frames, model(2.0 * document, ERROR_PX), model(document, 0.5 * ERROR_PX), "cog")
     scale, limit = 3.0 * PIXEL_ARCSEC, 5.0 / np.sqrt(POSITIONS * STARS)
     for axis in range(2):
         assert found.measured_arcsec[axis].value == pytest.approx(scale * document[axis], rel=limit)
@@ -91,7 +91,7 @@ def test_the_error_of_one_position_is_as_uncertain_as_its_noise_makes_it():
         shifted += one.photon_px + error + noise - shifted.mean(0)
         apart.append(one.single_px("cog"))
         exact = SimpleNamespace(**{**vars(model(ERROR_PX, ERROR_PX)), "position_rms_scatter_px": np.zeros(2)})
-        ratio = steps(one, exact, exact, "cog").single_position_ratio
+        ratio = tabulate_steps(one, exact, exact, "cog").single_position_ratio
         told.append([part.uncertainty for part in ratio])
     np.testing.assert_allclose(np.mean(told, axis=0), np.std(apart, axis=0) / ERROR_PX, rtol=4.0 / np.sqrt(240))
 
@@ -99,7 +99,7 @@ def test_the_error_of_one_position_is_as_uncertain_as_its_noise_makes_it():
 def test_causes_are_differences_of_runs(frames):
     share = np.sqrt(1.0 - 1.0 / STARS)
     after = SimpleNamespace(method={"cog": model(ERROR_PX, ERROR_PX)})
-    found = dict(zip(CAUSE_NAMES, causes(frames, after, ["cog"]), strict=True))
+    found = dict(zip(CAUSE_NAMES, tabulate_causes(frames, after, ["cog"]), strict=True))
     scale, limit = 3.0 * PIXEL_ARCSEC, 5.0 / np.sqrt(POSITIONS * STARS)
     np.testing.assert_allclose(found["prnu"].alone_arcsec[0], scale * 2**0.5 * share * ERROR_PX, rtol=limit)
     np.testing.assert_allclose(found["prnu"].single_position_alone_arcsec[0], scale * ERROR_PX, rtol=limit)
@@ -124,7 +124,7 @@ def test_s_curve_of_an_undersampled_star_is_that_of_its_pixel_sums(star_camera, 
 
     cells = np.arange(-64, 65) / 8
     psf = EffectivePsf(values=np.outer(pixels(cells, 0.0), pixels(cells, 0.0)), oversampling=8)
-    found = s_curves(bench_of(methods=("cog", "epsf"), signal_e=50000.0), star_camera, psf)
+    found = compute_s_curves(bench_of(methods=("cog", "epsf"), signal_e=50000.0), star_camera, psf)
     index = np.arange(-6, 7)
     expected = [index @ pixels(index, at) / pixels(index, at).sum() - at for at in found.phase_px]
     np.testing.assert_allclose(found.s_curve_px[0], expected, atol=2e-3)

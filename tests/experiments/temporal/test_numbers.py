@@ -9,7 +9,7 @@ import pytest
 
 from experiments.laboratory.bench.signal import Signal
 from experiments.laboratory.temporal_error import TemporalMeasurement, TemporalPrediction
-from experiments.temporal.experiment import scatter, stars
+from experiments.temporal.experiment import tabulate_level, tabulate_stars
 
 FRAMES, STARS, PIXEL_ARCSEC = 30, 50, 4.0
 TRUE_PX = np.array([[[0.02, 0.03]] * STARS, [[0.05, 0.08]] * STARS])  # two levels
@@ -49,10 +49,10 @@ def records():
 def test_ratios_leave_out_the_small_sample_factor(records, level):
     """3 sigma in arcsec; a ratio of 1 to 1/sqrt(2 n f); its error from frames, draws and chips."""
     star = Signal(signal_e=8000.0, magnitude_mag=5.0, temperature_k=6000.0)
-    found = scatter(*records, ["cog"], star, level)
+    found = tabulate_level(*records, ["cog"], star, level)
     true = 3.0 * PIXEL_ARCSEC * TRUE_PX[level, 0]
     assert found.signal_e == LEVELS_E[level]
-    assert scatter(*records, ["cog"], star).signal_e == LEVELS_E[0]
+    assert tabulate_level(*records, ["cog"], star).signal_e == LEVELS_E[0]
     assert found.magnitude_mag == pytest.approx(5.0 + (0.0, 2.5 * np.log10(4.0))[level])
     np.testing.assert_allclose(found.predicted_arcsec[0], true)
     np.testing.assert_allclose(found.predicted_linear_arcsec[0], 1.1 * true)
@@ -71,7 +71,7 @@ def test_ratios_leave_out_the_small_sample_factor(records, level):
 
 
 def test_star_by_star(records):
-    every = stars(*records, "cog")
+    every = tabulate_stars(*records, "cog")
     assert len(every) == STARS
     pulls = np.array(
         [[(m.value - p) / m.uncertainty for m, p in zip(s.sigma_px, s.predicted_px, strict=True)] for s in every]
