@@ -79,13 +79,13 @@ def parts(settings: list[str], frames: int) -> dict[str, float]:
     import drjit as dr
 
     from experiments.dataset import job as work
-    from experiments.dataset.frame import FrameMaker
+    from experiments.dataset.frame import FrameRenderer
     from experiments.dataset.scene import build_scene
     from render import simulator
     from render.sky.sky import Sky
 
     dr.set_thread_count(1)
-    maker = FrameMaker(build_scene(load_config(DatasetConfig, settings=settings)))
+    maker = FrameRenderer(build_scene(load_config(DatasetConfig, settings=settings)))
     times: dict[str, list[float]] = {}
 
     def timed(name: str, function: Any) -> Any:
@@ -116,7 +116,7 @@ def parts(settings: list[str], frames: int) -> dict[str, float]:
         for part in ("frames", "truth"):
             (Path(folder) / part).mkdir()
         for frame in range(frames):
-            total(maker, "timed", Path(folder), frame)
+            total(work.PreparedRenderer(maker, "timed"), Path(folder), frame)
     for (owner, name), (_, function) in replaced.items():
         setattr(owner, name, function)
     found = {name: 1e3 * float(np.median(values[frames // 4 :])) for name, values in times.items()}

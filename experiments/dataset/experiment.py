@@ -21,7 +21,7 @@ from experiments.dataset.detection import Example, compare_frame, dataset_bound,
 from experiments.dataset.exports import COCO, WEBDATASET, check_webdataset, export_coco, export_shards
 from experiments.dataset.folder import DatasetFolder, StorageError, for_workers, frame_files, in_words, software
 from experiments.dataset.job import Job
-from experiments.dataset.labels import LabelMaker
+from experiments.dataset.labels import FrameLabeller
 from experiments.dataset.scene import DatasetScene, build_scene
 from experiments.dataset.settings import DatasetConfig
 from experiments.dataset.solve import BlindSolver, attitudes, star_patterns
@@ -191,7 +191,7 @@ def _export(scene: DatasetScene, folder: Path, records: Sequence[FrameRecord], p
                 records,
                 diffusion_px=scene.instrument.camera.blur_px,
                 bits=config.png_bits,
-                labels=LabelMaker(scene).labels,
+                labels=FrameLabeller(scene).labels,
                 about=about(config, scene.catalogue),
                 done=stage.advance,
             )

@@ -59,15 +59,15 @@ class RenderedFrame:
         return int(np.count_nonzero(self.truth["flags"] & FLAGS["saturated"][0]))
 
 
-class FrameMaker:
+class FrameRenderer:
     """Renders frames of a dataset; a frame depends on the scene and the frame number alone."""
 
     def __init__(self, scene: DatasetScene) -> None:
         self.scene = scene
-        self._lags = scene.instrument.detector.lag > 0.0 and scene.plan.path is not None
+        self._lags = scene.instrument.detector.lag > 0.0 and scene.plan.trajectory is not None
         self._last: tuple[int, SkyLight] | None = None
 
-    def make(self, frame: int) -> RenderedFrame:
+    def render(self, frame: int) -> RenderedFrame:
         """Frame number ``frame``, up to 2^40 and more."""
         scene, simulator = self.scene, self.scene.simulator
         before = self._previous_light(frame)
@@ -158,7 +158,7 @@ _MJD_J2000, _YEAR_DAYS, _DAY_S = 51544.5, 365.25, 86400.0
 
 def header_cards(scene: DatasetScene, rendered: RenderedFrame) -> list[Card]:
     """Header cards: time, instrument, attitude, rate, light, world coordinates; nothing of the machine or its clock."""
-    config, plan, path = scene.config, rendered.plan, scene.plan.path
+    config, plan, path = scene.config, rendered.plan, scene.plan.trajectory
     attitude = plan.attitude
     ra, dec, roll = angles_from_attitude(attitude)
     quaternion = zip("XYZW", quat_xyzw(attitude).tolist(), strict=True)

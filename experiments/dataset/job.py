@@ -25,7 +25,7 @@ from experiments.dataset.folder import (
     storage_error,
     write_whole,
 )
-from experiments.dataset.frame import LAYER_WORDS, FrameMaker, RenderedFrame, header_cards
+from experiments.dataset.frame import LAYER_WORDS, FrameRenderer, RenderedFrame, header_cards
 from experiments.dataset.labels import body_labels, disk_truth
 from experiments.dataset.remote import Store
 from experiments.dataset.scene import DatasetScene, build_scene
@@ -37,9 +37,10 @@ from optics.errors import ConfigError
 from optics.units import RAD_DEG
 from render.engine import Engine
 
-_MAKERS: dict[tuple[str, str], tuple[FrameMaker, str]] = {}
-_CHECKED: set[str] = set()
-"""Tokens of the jobs for which this process was checked."""
+_RENDERERS: dict[tuple[str, str], PreparedRenderer] = {}
+"""Renderer by configuration and backend: the last one only."""
+_CHECKED_TOKENS: set[str] = set()
+"""Destination tokens of the jobs for which this process was checked."""
 _LOCK = threading.Lock()
 """One frame at a time in a process, which has a single renderer."""
 
@@ -49,11 +50,19 @@ class Job:
     """Data for a worker; small, pickled once per batch."""
 
     config: str  # JSON
-    folder: str  # Of the dataset, the same for all workers
+    folder: str  # Folder of the dataset, the same path for all workers
     backend: str  # "llvm" or "cuda"
     url: str = ""  # Destination of files in place of the folder
     token: str = ""  # File in folder or URL by which a worker on another machine recognises the destination
     software: str = ""  # Versions that a worker on another machine must have, as JSON
+
+
+@dataclass(frozen=True, slots=True)
+class PreparedRenderer:
+    """Renderer of a process, and the provenance (JSON) in the truth files that it writes."""
+
+    renderer: FrameRenderer
+    provenance: str
 
 
 def check_worker(job: Job) -> None:
@@ -78,77 +87,81 @@ def check_worker(job: Job) -> None:
             )
 
 
-def prepare(job: Job, threads: int | None = None) -> tuple[FrameMaker, str]:
-    """Renderer of this process and the origin in its truth files, built on the first call."""
-    if job.token and job.token not in _CHECKED:
+def prepare(job: Job, threads: int | None = None) -> PreparedRenderer:
+    """Renderer of this process, built on the first call."""
+    if job.token and job.token not in _CHECKED_TOKENS:
         check_worker(job)
-        _CHECKED.add(job.token)
+        _CHECKED_TOKENS.add(job.token)
     key = (job.config, job.backend)
-    if key not in _MAKERS:
+    if key not in _RENDERERS:
         Engine.start(job.backend)
         from render.engine.jit import dr
 
         if threads is not None:
             dr.set_thread_count(threads)
             dr.set_log_level(dr.LogLevel.Error)  # it warns if two workers store the same new kernel
-        _MAKERS.clear()  # one dataset at a time limits the memory
+        _RENDERERS.clear()  # one dataset at a time limits the memory
         config = DatasetConfig.model_validate_json(job.config)
-        _MAKERS[key] = FrameMaker(build_scene(config)), json.dumps(origin(config, job.backend))
-    return _MAKERS[key]
+        provenance = json.dumps(origin(config, job.backend))
+        _RENDERERS[key] = PreparedRenderer(FrameRenderer(build_scene(config)), provenance)
+    return _RENDERERS[key]
 
 
 def make_frame(job: Job, frame: int, threads: int | None = None) -> FrameRecord:
     """Render and write a frame, unless it is complete already; the truth is written last."""
     with _LOCK:
-        maker, dataset_origin = prepare(job, threads)
-        folder, truth = Path(job.folder), maker.scene.config.files.truth
+        prepared = prepare(job, threads)
+        folder = Path(job.folder)
+        truth = prepared.renderer.scene.config.files.truth
         if not job.url:
-            return checked_frame(folder, frame, truth) or _write(maker, dataset_origin, folder, frame)
+            return checked_frame(folder, frame, truth) or _write(prepared, folder, frame)
         store = Store(job.url)
         with tempfile.TemporaryDirectory(prefix="starbench-") as scratch:
             folder = Path(scratch)
             for name in (FRAMES, TRUTH):
                 (folder / name).mkdir()
-            record = _write(maker, dataset_origin, folder, frame)
+            record = _write(prepared, folder, frame)
             names = [frame_files(frame, truth)[2]] if record.layers_sha256 else []
             for name in (*names, record.file, record.truth):
                 store.write(name, (folder / name).read_bytes())
         return record
 
 
-def _write(maker: FrameMaker, dataset_origin: str, folder: Path, frame: int) -> FrameRecord:
-    rendered = maker.make(frame)
-    config = maker.scene.config
-    frame_name, truth_name, layers_name = frame_files(frame, config.files.truth)
-    layers = b"" if rendered.layers is None else _layers(maker.scene, rendered)
+def _write(prepared: PreparedRenderer, folder: Path, frame: int) -> FrameRecord:
+    """Render a frame and write its files: layers, frame, and last the truth, which marks the frame as complete."""
+    scene = prepared.renderer.scene
+    rendered = prepared.renderer.render(frame)
+    truth = scene.config.files.truth
+    frame_name, truth_name, layers_name = frame_files(frame, truth)
+    layers = b"" if rendered.layers is None else _layers(scene, rendered)
     if layers:
         (folder / LAYERS).mkdir(exist_ok=True)
         write_whole(folder / layers_name, layers)
     path = folder / frame_name
-    _write_fits(maker, rendered, path)
+    _write_fits(scene, rendered, path)
     try:
         with path.open("rb") as stream:
             digest, size = hashlib.file_digest(stream, "sha256").hexdigest(), path.stat().st_size
     except OSError as error:
         raise storage_error(path, error) from None
-    record = frame_record(rendered, maker.scene, frame_name, truth_name, size, digest)
+    record = frame_record(rendered, scene, frame_name, truth_name, size, digest)
     record = replace(record, layers_sha256=hashlib.sha256(layers).hexdigest()) if layers else record
-    write_whole(folder / truth_name, truth_bytes(rendered.truth, record, config.files.truth, dataset_origin))
+    write_whole(folder / truth_name, truth_bytes(rendered.truth, record, truth, prepared.provenance))
     return record
 
 
-def _write_fits(maker: FrameMaker, rendered: RenderedFrame, path: Path) -> None:
+def _write_fits(scene: DatasetScene, rendered: RenderedFrame, path: Path) -> None:
     from render.fits.files import write_frame
 
-    files = maker.scene.config.files
+    files = scene.config.files
     try:
         write_frame(
             rendered.frame,
             path,
             compression=None if files.compression == "none" else files.compression,
             mask=files.mask,
-            cards=header_cards(maker.scene, rendered),
-            marks=pixel_marks(maker.scene, rendered),
+            cards=header_cards(scene, rendered),
+            marks=mask_planes(scene, rendered),
         )
     except ConfigError as error:
         cause: Any = error.__context__
@@ -175,15 +188,15 @@ def _layers(scene: DatasetScene, rendered: RenderedFrame) -> bytes:
     return fits_bytes(units)
 
 
-def pixel_marks(scene: DatasetScene, rendered: RenderedFrame) -> dict[str, NDArray[np.bool_]]:
+def mask_planes(scene: DatasetScene, rendered: RenderedFrame) -> dict[str, NDArray[np.bool_]]:
     """Pixels (h, w) of cosmic rays, and of disks, if a dataset may have them, by card of the mask."""
-    marks = {} if rendered.cosmic_rays is None else {"COSMIC": rendered.cosmic_rays}
+    planes = {} if rendered.cosmic_rays is None else {"COSMIC": rendered.cosmic_rays}
     if scene.simulator.disks is not None:
         disk = np.zeros(rendered.frame.dn.shape, np.bool_)
         for label in body_labels(scene, rendered.plan):
             disk[tuple(label.pixels)] = True
-        marks["DISK"] = disk
-    return marks
+        planes["DISK"] = disk
+    return planes
 
 
 def frame_record(

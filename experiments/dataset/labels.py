@@ -58,7 +58,7 @@ def pixels_of_ellipse(x: float, y: float, half_x: float, half_y: float, shape: t
     return np.stack([rows[inside], columns[inside]])
 
 
-class LabelMaker:
+class FrameLabeller:
     """Labels of the frames of one dataset."""
 
     def __init__(self, scene: DatasetScene) -> None:

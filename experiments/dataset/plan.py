@@ -33,6 +33,9 @@ from render.motion.pointing import random_attitude, random_attitude_in_cone, ran
 from render.motion.trajectory import ConstantRate, SampledAttitude, Trajectory
 
 RATE_SAMPLES = 1000
+"""Times at which the rate of a scan is evaluated for its maximum."""
+MAX_FRAMES = 1e7
+"""Largest number of frames of a dataset."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,10 +45,10 @@ class Plan:
     config: DatasetConfig
     streams: Streams  # Root of the random streams of the dataset
     duration_s: float  # From the start of the exposure of the first row to the end of that of the last
-    attitudes: Rotation | None  # Of a list
-    region: SkyPointing | ConePointing | None  # Where attitudes are drawn; of a body, the cone about it
-    path: Trajectory | None  # Of a scan, jitter included
-    to_sun: FloatArray | None  # (3,) Direction of the Sun in icrs, if attitudes avoid it
+    attitudes: Rotation | None  # Attitudes of a list, one per frame
+    sampling_region: SkyPointing | ConePointing | None  # Boresights of random attitudes; about a body, a cone
+    trajectory: Trajectory | None  # Motion of a scan through all frames, jitter included
+    to_sun: FloatArray | None  # (3,) Direction of the Sun, ICRS, if attitudes avoid it
     jitter: JitterSpectrum | None
     splits: Splits
 
@@ -56,8 +59,8 @@ class FramePlan:
 
     frame: int
     split: str  # train, validation, test, or gap (`experiments.dataset.splits`)
-    attitude: Rotation  # cam from icrs in the middle of the exposure
-    rate_rad_per_s: FloatArray  # (3,) Angular velocity in camera axes at that time
+    attitude: Rotation  # Camera from ICRS at mid-exposure
+    rate_rad_per_s: FloatArray  # (3,) Angular velocity in camera axes at mid-exposure
     start_s: float  # Start of the exposure on the trajectory
     trajectory: Trajectory | None  # Motion during the exposure; None where the camera stands still
 
@@ -67,7 +70,8 @@ def build_plan(config: DatasetConfig, height_px: int | None = None, diagonal_deg
     pointing = config.pointing
     rows = config.instrument.height_px if height_px is None else height_px
     duration_s = config.instrument.exposure_s + max(0, rows - 1) * config.instrument.line_time_us * 1e-6
-    streams, jitter = Streams(config.seed).child("dataset"), _spectrum(config.jitter)
+    streams = Streams(config.seed).child("dataset")
+    jitter = _spectrum(config.jitter)
     attitudes: Rotation | None = None
     path: Trajectory | None = None
     if isinstance(pointing, ListPointing):
@@ -98,8 +102,8 @@ def build_plan(config: DatasetConfig, height_px: int | None = None, diagonal_deg
         streams=streams,
         duration_s=duration_s,
         attitudes=attitudes,
-        region=region,
-        path=path,
+        sampling_region=region,
+        trajectory=path,
         to_sun=to_sun,
         jitter=jitter,
         splits=build_splits(config, streams, diagonal_deg, None if attitudes is None else attitudes.as_matrix()[:, 2]),
@@ -146,10 +150,10 @@ def _cone_about(pointing: BodyPointing, config: DatasetConfig) -> ConePointing:
 def _check_cone(pointing: ConePointing, to_sun: FloatArray) -> None:
     """Refuse a cone within the exclusion angle of the Sun."""
     centre = attitude_from_angles(pointing.ra_deg, pointing.dec_deg, 0.0).as_matrix()[2]
-    farthest = float(np.degrees(np.arccos(np.clip(centre @ to_sun, -1.0, 1.0)))) + pointing.radius_deg
-    if farthest <= pointing.sun_exclusion_deg:
+    max_angle_deg = float(np.degrees(np.arccos(np.clip(centre @ to_sun, -1.0, 1.0)))) + pointing.radius_deg
+    if max_angle_deg <= pointing.sun_exclusion_deg:
         raise DomainError(
-            f"pointing: the whole cone lies within {farthest:.1f} deg of the Sun, pointing.sun_exclusion_deg = "
+            f"pointing: the whole cone lies within {max_angle_deg:.1f} deg of the Sun, pointing.sun_exclusion_deg = "
             f"{pointing.sun_exclusion_deg:g} deg; point elsewhere or change catalogue.epoch_year"
         )
 
@@ -160,39 +164,40 @@ def _scan(pointing: ScanPointing, config: DatasetConfig, duration_s: float) -> T
         times, attitudes = read_motion(pointing.file)
         path = SampledAttitude(samples_s=times, attitudes=attitudes)
         if path.end_s - path.start_s < last_s:
-            most = int(np.floor((path.end_s - path.start_s - duration_s) * pointing.frame_rate_hz)) + 1
+            max_frames = int(np.floor((path.end_s - path.start_s - duration_s) * pointing.frame_rate_hz)) + 1
             raise DomainError(
                 f"pointing.file: {pointing.file} lasts {path.end_s - path.start_s:g} s, {config.frames} frames at "
-                f"{pointing.frame_rate_hz:g} Hz need {last_s:g} s; set frames to at most {max(most, 0)}"
+                f"{pointing.frame_rate_hz:g} Hz need {last_s:g} s; set frames to at most {max(max_frames, 0)}"
             )
         return path
     return ConstantRate(
         initial=attitude_from_angles(pointing.ra_deg, pointing.dec_deg, pointing.roll_deg),
         rate_rad_per_s=np.array(pointing.rate_deg_per_s) * DEG_RAD,
-        end_s=1e7 / pointing.frame_rate_hz + duration_s,  # the largest allowed number of frames
+        end_s=MAX_FRAMES / pointing.frame_rate_hz + duration_s,
     )
 
 
 def plan_frame(plan: Plan, frame: int) -> FramePlan:
     """Plan of frame number ``frame``."""
     config, half_s = plan.config, plan.duration_s / 2.0
-    if plan.path is not None:
+    if plan.trajectory is not None:
         assert isinstance(config.pointing, ScanPointing)
-        start = plan.path.start_s + frame / config.pointing.frame_rate_hz
-        at_rest = isinstance(plan.path, ConstantRate) and not plan.path.rate_rad_per_s.any()
-        attitude = plan.path.attitude(start + half_s)
+        start = plan.trajectory.start_s + frame / config.pointing.frame_rate_hz
+        at_rest = isinstance(plan.trajectory, ConstantRate) and not plan.trajectory.rate_rad_per_s.any()
+        attitude = plan.trajectory.attitude(start + half_s)
         return FramePlan(
             frame=frame,
             split=_split(plan, frame, attitude),
             attitude=attitude,
-            rate_rad_per_s=plan.path.rate(start + half_s),
+            rate_rad_per_s=plan.trajectory.rate(start + half_s),
             start_s=start,
-            trajectory=None if at_rest else plan.path,
+            trajectory=None if at_rest else plan.trajectory,
         )
-    attitude, rate = _attitude(plan, frame), _rate(plan, frame)
+    attitude = _attitude(plan, frame)
+    rate = _rate(plan, frame)
     path: Trajectory | None = None
     if rate.any() or plan.jitter is not None:
-        initial = Rotation.from_rotvec(rate * half_s) * attitude  # half an exposure earlier
+        initial = Rotation.from_rotvec(rate * half_s) * attitude  # attitude at the start of the exposure
         path = ConstantRate(initial=initial, rate_rad_per_s=rate, end_s=2.0 * half_s)
     if path is not None and plan.jitter is not None:
         path = jittered(path, plan.jitter, streams=plan.streams, frame=frame)
@@ -206,19 +211,20 @@ def _split(plan: Plan, frame: int, attitude: Rotation) -> str:
 
 
 def _attitude(plan: Plan, frame: int) -> Rotation:
+    """Attitude of a frame: of the list, or drawn until the boresight is outside the exclusion angle of the Sun."""
     if plan.attitudes is not None:
         return plan.attitudes[frame]
-    pointing = plan.region
+    pointing = plan.sampling_region
     assert pointing is not None
     rng = plan.streams.generator("attitude", frame)
-    nearest = np.cos(pointing.sun_exclusion_deg * DEG_RAD)
+    max_cosine = np.cos(pointing.sun_exclusion_deg * DEG_RAD)
     while True:
         if isinstance(pointing, SkyPointing):
             attitude = random_attitude(rng)
         else:
             cone = pointing.model_dump(include={"ra_deg", "dec_deg", "radius_deg", "roll_deg"})
             attitude = random_attitude_in_cone(rng, **cone)
-        if plan.to_sun is None or attitude.as_matrix()[2] @ plan.to_sun < nearest:
+        if plan.to_sun is None or attitude.as_matrix()[2] @ plan.to_sun < max_cosine:
             return attitude
 
 
@@ -234,10 +240,10 @@ def _rate(plan: Plan, frame: int) -> FloatArray:
 def fastest_rad_per_s(plan: Plan) -> tuple[float, float]:
     """Largest angular velocities that a frame may have, across the boresight and about it [rad/s]."""
     config = plan.config
-    if plan.path is not None:
+    if plan.trajectory is not None:
         assert isinstance(config.pointing, ScanPointing)
-        end_s = plan.path.start_s + (config.frames - 1) / config.pointing.frame_rate_hz + plan.duration_s
-        rate = plan.path.rate(np.linspace(plan.path.start_s, end_s, RATE_SAMPLES))
+        end_s = plan.trajectory.start_s + (config.frames - 1) / config.pointing.frame_rate_hz + plan.duration_s
+        rate = plan.trajectory.rate(np.linspace(plan.trajectory.start_s, end_s, RATE_SAMPLES))
         return float(np.hypot(rate[:, 0], rate[:, 1]).max()), float(np.abs(rate[:, 2]).max())
     if isinstance(config.rate, RandomRate):
         return config.rate.highest_deg_per_s * DEG_RAD, config.rate.highest_deg_per_s * DEG_RAD
@@ -249,13 +255,14 @@ def fastest_rad_per_s(plan: Plan) -> tuple[float, float]:
 
 NORM_TOLERANCE = 1e-6
 """Error of the length of a quaternion written with seven digits."""
-_FEWEST_TO_JUDGE = 20
-"""Rows from which angles without a unit, all below 2 pi, are taken for radians."""
+_MIN_ROWS_FOR_UNIT = 20
+"""Rows from which angles without a unit are refused as possible radians: a range of right ascension up to 2 pi,
+and declinations up to pi."""
 _QUATERNION = ("quat_x", "quat_y", "quat_z", "quat_w")
 
 
 def read_attitudes(name: str) -> Rotation:
-    """Attitudes of a file, cam from icrs."""
+    """Attitudes of a file, camera from ICRS."""
     return _attitudes(_table(name), name)
 
 
@@ -299,8 +306,8 @@ def _attitudes(table: Any, name: str) -> Rotation:
             f"{name}: columns {', '.join(table.colnames)}; ra_deg, dec_deg, roll_deg or {', '.join(_QUATERNION)} needed"
         )
     ra, dec, roll = (_column(table, str(column), "deg", name) for column in columns)
-    stated = any(table[column].unit is not None or str(column).endswith("_deg") for column in columns)
-    if not stated and len(ra) >= _FEWEST_TO_JUDGE and max(np.ptp(ra), 2 * np.abs(dec).max()) <= 2 * np.pi:
+    unit_stated = any(table[column].unit is not None or str(column).endswith("_deg") for column in columns)
+    if not unit_stated and len(ra) >= _MIN_ROWS_FOR_UNIT and max(np.ptp(ra), 2 * np.abs(dec).max()) <= 2 * np.pi:
         raise DomainError(f"{name}: no angle is above 2 pi; are they radians? State the unit or name the columns _deg")
     for label, angle, limit in (("declination", dec, 90), ("right ascension", ra, 360), ("roll", roll, 360)):
         row = int(np.argmax(np.abs(angle) > limit))

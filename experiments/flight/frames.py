@@ -9,6 +9,7 @@ residual aberration. The remaining mean of a segment is FOV spatial error and th
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,7 +25,7 @@ from experiments.laboratory.bench.centroid_methods import needs_epsf
 from experiments.laboratory.bench.readout.frames import mean_dark_frame
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
-from optics.lens.heated_lens import ThermalState
+from optics.lens.heated_lens import COMPONENTS, ThermalState
 from optics.records import freeze
 from optics.units import ARCSEC_RAD
 from render.bodies.solar_system import BODIES, solar_system
@@ -41,9 +42,9 @@ MARGIN_PX = 32.0
 PLANETS = tuple(name for name in BODIES if name != "moon")
 PSF_REFINEMENT = 4
 """Interpolated steps between rendered PSFs of the tracker."""
-HANDED_OVER_PX = 3.0
+HANDOVER_SIGMA_PX = 3.0
 """Standard deviation per axis of an attitude that another sensor head hands over."""
-STILL_PX = 0.02
+AT_REST_PX = 0.02
 """Smaller rotations within an exposure are rendered at rest."""
 
 
@@ -53,15 +54,15 @@ class Segment:
 
     start_s: float
     blinded: bool  # A body within its exclusion angle: nothing is rendered
-    error_arcsec: FloatArray  # (2, n, 3) Both readouts
-    stars: FloatArray  # (n,) Used by the attitude
-    rejected: FloatArray  # (n,)
-    false_stars: FloatArray  # (n,) Planets and cosmic rays in the frame: truth
-    thermal_arcsec: FloatArray  # (s, 3) Difference to the lens as calibrated
-    aberration_arcsec: FloatArray  # (s, 3) Difference to the true velocity
-    acquired: str  # Status of the first frame, searched lost in space
-    acquisition_s: float  # On this machine
-    wrong: int  # Attitudes beyond the stated limit
+    error_arcsec: FloatArray  # (2, n, 3) Attitude errors of both readouts
+    stars: FloatArray  # (n,) Stars used by the attitude
+    rejected: FloatArray  # (n,) Stars rejected by the attitude
+    false_stars: FloatArray  # (n,) True number of planets and cosmic rays in the frame
+    thermal_arcsec: FloatArray  # (s, 3) Attitude minus that through the lens as calibrated
+    aberration_arcsec: FloatArray  # (s, 3) Attitude minus that with the true velocity
+    acquired: str  # Status of the first frame, solved lost in space
+    acquisition_s: float  # Computing time of the first frame on this machine
+    wrong: int  # Attitudes whose error exceeds `tracker.wrong_sigma` predicted standard deviations
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -84,8 +85,8 @@ class FlightCamera:
         config = self.config = budget.config
         self.budget, self.flight = budget, budget.flight
         setting, state = config.instrument, budget.nominal.state
-        chip = overridden(configured_detector(setting), budget.sensor.detector)
-        self.nominal = build_instrument(setting, detector=chip)
+        detector = overridden(configured_detector(setting), budget.sensor.detector)
+        self.nominal = build_instrument(setting, detector=detector)
         self.streams = Streams(config.seed).child("flight", "old" if budget.old else "new")
         planets = solar_system(self.flight.orbit.epoch_year, bodies=PLANETS) if config.frames.planets else ()
         self.simulator = SkySimulator(
@@ -108,13 +109,13 @@ class FlightCamera:
 
     def expected(self, time_s: float, state_k: FloatArray) -> SkyLight:
         """Expected image of an exposure about a time, through the lens in a thermal state."""
-        trajectory, exposure = self.flight.trajectory, self.config.instrument.exposure_s
-        start = time_s - 0.5 * exposure
-        during = trajectory.attitude(start + exposure * np.array([0.0, 0.5, 1.0]))
+        trajectory, exposure_s = self.flight.trajectory, self.config.instrument.exposure_s
+        start_s = time_s - 0.5 * exposure_s
+        during = trajectory.attitude(start_s + exposure_s * np.array([0.0, 0.5, 1.0]))
         rotation_rad = 2.0 * (during[1:] * during[:-1].inv()).magnitude().max()
         pointing: dict[str, Any] = {"attitude": trajectory.attitude(time_s)}
-        if rotation_rad > STILL_PX * self.budget.pixel_rad or self.config.jitter.rms_arcsec:
-            pointing = {"attitude": trajectory, "start_s": start}
+        if rotation_rad > AT_REST_PX * self.budget.pixel_rad or self.config.jitter.rms_arcsec:
+            pointing = {"attitude": trajectory, "start_s": start_s}
         return self.simulator.expected(
             **pointing,
             velocity_km_per_s=self.flight.velocity_km_per_s(time_s),
@@ -127,8 +128,9 @@ class FlightCamera:
         return self.simulator.read(light, frame=number, label=label, background_e_per_s=background)
 
     def false_stars(self, light: SkyLight, number: int, label: str) -> int:
-        """Planets in the field and tracks of cosmic rays of a readout."""
-        hits, planets = self.simulator.hits(number, label), 0
+        """Number of planets in the field and of tracks of cosmic rays of a readout."""
+        hits = self.simulator.hits(number, label)
+        planets = 0
         if light.planets is not None:
             rows = slice(len(light.sources) - len(light.planets), None)
             position_px = np.column_stack([light.truth.photon_x_px[rows, 0], light.truth.photon_y_px[rows, 0]])
@@ -189,39 +191,45 @@ def render_flight(budget: Budget, *, advance: Callable[[], None] = lambda: None)
 def _segment(
     camera: FlightCamera, tracker: StarTracker, number: int, start_s: float, advance: Callable[[], None]
 ) -> Segment:
-    flight, setting, bias = camera.flight, camera.config.frames, camera.budget.bias_arcsec()
-    count, state = setting.frames, flight.states_k[number]
-    aligned = Rotation.from_rotvec(ARCSEC_RAD * bias)
+    """Render, read out twice and track the frames of a segment, the first frame lost in space."""
+    flight, setting = camera.flight, camera.config.frames
+    bias_arcsec = camera.budget.bias_arcsec()
+    alignment = Rotation.from_rotvec(ARCSEC_RAD * bias_arcsec)
+    count = setting.frames
     errors = np.full((2, count, 3), np.nan)
     stars, rejected, false_stars = np.zeros((3, count))
     thermal, aberration = np.full((2, setting.switched, 3), np.nan)
-    blinded, status, acquisition_s, wrong = bool(flight.blinded(start_s)), "blinded", float("nan"), 0
+    blinded = bool(flight.blinded(start_s))
+    status, acquisition_s = "blinded", math.nan
+    wrong = 0
     tracker.reset()
     for k, at_s in enumerate(() if blinded else flight.frame_times_s(start_s)):
-        truth, known = flight.trajectory.attitude(at_s), flight.known_velocity_km_per_s(at_s)
-        light, key = camera.expected(at_s, state), number * count + k
-        frame, false_stars[k] = camera.read(light, at_s, key, "first"), camera.false_stars(light, key, "first")
+        truth = flight.trajectory.attitude(at_s)
+        onboard_velocity = flight.known_velocity_km_per_s(at_s)
+        light = camera.expected(at_s, flight.states_k[number])
+        frame_number = number * count + k
+        frame = camera.read(light, at_s, frame_number, "first")
+        false_stars[k] = camera.false_stars(light, frame_number, "first")
         start = time.perf_counter()
-        first = tracker(frame, at_s, velocity_km_per_s=known, rate_rad_per_s=flight.trajectory.rate(at_s))
+        rate = flight.trajectory.rate(at_s)
+        first = tracker(frame, at_s, velocity_km_per_s=onboard_velocity, rate_rad_per_s=rate)
         if k == 0:
-            status, acquisition_s = first.status, time.perf_counter() - start
-            if not first.ok:  # another sensor head hands its attitude over
-                sigma_rad = HANDED_OVER_PX * camera.budget.pixel_rad
-                error = sigma_rad * camera.streams.generator("rough", number).standard_normal(3)
-                rough = Rotation.from_rotvec(error) * truth
-                tracker.begin(at_s, rough)
-                first = tracker(frame, at_s, velocity_km_per_s=known, near=rough)
-        second_frame, near = camera.read(light, at_s, key, "second"), first.attitude or truth
-        second = tracker(second_frame, at_s, velocity_km_per_s=known, near=near)
-        for n, reading in enumerate((first, second)):
-            if reading.attitude is not None:
-                errors[n, k] = attitude_error_arcsec(aligned * reading.attitude, truth)
+            acquisition_s = time.perf_counter() - start
+            status = first.status
+            if not first.ok:
+                first = _hand_over(camera, tracker, frame, at_s, number)
+        second_frame = camera.read(light, at_s, frame_number, "second")
+        second = tracker(second_frame, at_s, velocity_km_per_s=onboard_velocity, near=first.attitude or truth)
+        for readout, tracked in enumerate((first, second)):
+            if tracked.attitude is not None:
+                errors[readout, k] = attitude_error_arcsec(alignment * tracked.attitude, truth)
         if first.ok:
-            stars[k], rejected[k] = len(first.star_id), first.rejected
-            limit = camera.config.tracker.wrong_sigma * first.sigma_arcsec
-            wrong += bool((np.abs(errors[0, k] - bias) > limit).any())
+            stars[k] = len(first.star_id)
+            rejected[k] = first.rejected
+            limit_arcsec = camera.config.tracker.wrong_sigma * first.sigma_arcsec
+            wrong += bool((np.abs(errors[0, k] - bias_arcsec) > limit_arcsec).any())
             if k < setting.switched:
-                thermal[k], aberration[k] = _switched(camera, tracker, first, frame, at_s, key)
+                thermal[k], aberration[k] = _switched(camera, tracker, first, frame, at_s, frame_number)
         advance()
     return Segment(
         start_s=start_s,
@@ -238,19 +246,29 @@ def _segment(
     )
 
 
+def _hand_over(camera: FlightCamera, tracker: StarTracker, frame: Frame, at_s: float, number: int) -> TrackedAttitude:
+    """Attitude of a frame near the attitude of another sensor head, `HANDOVER_SIGMA_PX` off."""
+    sigma_rad = HANDOVER_SIGMA_PX * camera.budget.pixel_rad
+    error_rad = sigma_rad * camera.streams.generator("rough", number).standard_normal(3)
+    prior = Rotation.from_rotvec(error_rad) * camera.flight.trajectory.attitude(at_s)
+    tracker.begin(at_s, prior)
+    return tracker(frame, at_s, velocity_km_per_s=camera.flight.known_velocity_km_per_s(at_s), near=prior)
+
+
 def _switched(
-    camera: FlightCamera, tracker: StarTracker, first: TrackedAttitude, frame: Frame, at_s: float, key: int
-) -> list[FloatArray]:
-    """Thermo-elastic error and residual aberration: differences of attitudes with and without, the noise equal."""
-    truth, known = camera.flight.trajectory.attitude(at_s), camera.flight.known_velocity_km_per_s(at_s)
-    calibrated = camera.read(camera.expected(at_s, np.zeros(5)), at_s, key, "first")
+    camera: FlightCamera, tracker: StarTracker, first: TrackedAttitude, frame: Frame, at_s: float, number: int
+) -> tuple[FloatArray, FloatArray]:
+    """Thermo-elastic error and residual aberration: attitude minus that without the cause, the noise equal."""
+    truth = camera.flight.trajectory.attitude(at_s)
+    calibrated_state_k = np.zeros(len(COMPONENTS))
+    calibrated_frame = camera.read(camera.expected(at_s, calibrated_state_k), at_s, number, "first")
+    onboard_velocity = camera.flight.known_velocity_km_per_s(at_s)
     true_velocity = camera.flight.velocity_km_per_s(at_s)
-    error, *without = (
-        np.full(3, np.nan) if reading.attitude is None else attitude_error_arcsec(reading.attitude, truth)
-        for reading in (
-            tracker(frame, at_s, velocity_km_per_s=known, near=first.attitude),
-            tracker(calibrated, at_s, velocity_km_per_s=known, near=first.attitude),
-            tracker(frame, at_s, velocity_km_per_s=true_velocity, near=first.attitude),
-        )
-    )
-    return [error - other for other in without]
+
+    def error_arcsec(image: Frame, velocity_km_per_s: FloatArray) -> FloatArray:
+        tracked = tracker(image, at_s, velocity_km_per_s=velocity_km_per_s, near=first.attitude)
+        return np.full(3, np.nan) if tracked.attitude is None else attitude_error_arcsec(tracked.attitude, truth)
+
+    error = error_arcsec(frame, onboard_velocity)
+    thermal = error - error_arcsec(calibrated_frame, onboard_velocity)
+    return thermal, error - error_arcsec(frame, true_velocity)

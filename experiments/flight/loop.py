@@ -6,6 +6,7 @@ predicted covariance of the budget, thousands of times per second. Both return t
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -25,31 +26,35 @@ from render.engine.random import Streams
 from render.motion.trajectory import rate_of_trail, trail_of_rate
 
 Sensor = Callable[[Rotation, ArrayLike, float], TrackedAttitude]
-"""``sensor(attitude, rate_rad_per_s, time_s)``: cam from icrs and its rate in cam, in the middle of the exposure."""
+"""``sensor(attitude, rate_rad_per_s, time_s)``: camera from ICRS and its rate in camera axes, at mid-exposure."""
 
-REUSE_FIELD_FRACTION, REUSE_S = 0.02, 10.0
-"""Predicted errors are reused for rotations within this fraction of the field, and for this time."""
+REUSE_FIELD_FRACTION = 0.02
+"""Predicted errors are reused for rotations up to this fraction of the field."""
+REUSE_S = 10.0
+"""Predicted errors are reused for this time."""
 
 
 def by_frames(config: FlightConfig) -> Sensor:
     """A sensor that renders every exposure, with the lens as calibrated; times have to increase from call to call.
 
-    The attitude law of the configuration is not used. `StarbenchError` as of
+    The attitude law of the configuration is not used. Raises the errors of
     `experiments.flight.prediction.build_budget`.
     """
     camera = FlightCamera(build_budget(config, build_flight(config)))
-    tracker, flight = build_tracker(camera), camera.flight
-    aligned, calls = Rotation.from_rotvec(ARCSEC_RAD * camera.budget.bias_arcsec()), iter(range(2**31))
+    tracker = build_tracker(camera)
+    flight = camera.flight
+    alignment = Rotation.from_rotvec(ARCSEC_RAD * camera.budget.bias_arcsec())
+    frame_numbers = itertools.count()
 
     def sensor(attitude: Rotation, rate_rad_per_s: ArrayLike, time_s: float) -> TrackedAttitude:
         rate = np.asarray(rate_rad_per_s, float)
         exposure: dict[str, Any] = {"rate_deg_per_s": np.degrees(rate)} if rate.any() else {}
         velocity = flight.velocity_km_per_s(time_s)
         light = camera.simulator.expected(attitude, velocity_km_per_s=velocity, **exposure)
-        frame = camera.read(light, time_s, next(calls), "loop")
+        frame = camera.read(light, time_s, next(frame_numbers), "loop")
         tracker_velocity = flight.known_velocity_km_per_s(time_s)
         reading = tracker(frame, time_s, velocity_km_per_s=tracker_velocity, rate_rad_per_s=rate)
-        return reading if reading.attitude is None else replace(reading, attitude=aligned * reading.attitude)
+        return reading if reading.attitude is None else replace(reading, attitude=alignment * reading.attitude)
 
     return sensor
 
@@ -57,8 +62,8 @@ def by_frames(config: FlightConfig) -> Sensor:
 def by_budget(config: FlightConfig, *, budget: Budget | None = None) -> Sensor:
     """A sensor with the predicted errors: temporal noise drawn in every call, the errors of the stars constant.
 
-    ``budget``: that of the configuration, if it is at hand. The status of a reading states too few stars or a blinding
-    body. Raises as `by_frames`.
+    ``budget``: prediction for this configuration, if it exists already. The status of a reading states too few stars
+    or a blinding body. Raises the errors of `by_frames`.
     """
     predicted = budget or build_budget(config, build_flight(config))
     rng = Streams(config.seed).generator("loop")
@@ -74,7 +79,9 @@ def by_budget(config: FlightConfig, *, budget: Budget | None = None) -> Sensor:
 
     def predict(attitude: Rotation, rate: FloatArray, time_s: float) -> None:
         errors = predicted.errors_of(attitude, rounded(rate), time_s)
-        covariance, sigma, shift = np.full((3, 3), np.inf), np.zeros(3), np.zeros(3)
+        covariance = np.full((3, 3), np.inf)
+        sigma = np.zeros(3)
+        shift = np.zeros(3)
         if errors.available:
             covariance = ARCSEC_RAD**2 * np.diag(errors.noise_arcsec2 + errors.static_arcsec2)
             sigma, static = ARCSEC_RAD * np.sqrt([errors.noise_arcsec2, errors.static_arcsec2])

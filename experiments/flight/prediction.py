@@ -8,6 +8,7 @@ turns them into errors of the attitude.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -42,10 +43,17 @@ from render.sky.sky import load_sky
 STEP_K = {"mean_k": 1.0, "axial_k": 0.5, "transverse_x_k": 0.2, "transverse_y_k": 0.2, "radial_k": 0.5}
 """Steps of the central differences of the thermal sensitivities."""
 SATURATION_MARGIN_MAG = 0.3
+"""Guide stars are fainter than the saturation limit by this."""
+GUIDE_MARGIN_MAG = 1.5
+"""Guide stars are brighter than the limiting magnitude by this, where no limit is stated."""
 SKY_ATTITUDES = 60
+"""Attitudes of the prediction, of which the flight uses the star errors only."""
 AZIMUTH_DEG = 22.5
 """Azimuth of the predicted PSFs about the middle of the detector."""
-SMALLEST_K = 0.1
+MIN_HEATED_K = 0.1
+"""Least temperature change of the heated PSFs, to either side."""
+BIAS_STAR_K = 5800.0
+"""Temperature of the star whose brightness the bias of fits is computed for."""
 AT_REST_PX = 0.1
 """Shorter trails are predicted as at rest."""
 BACKGROUND_STEP = 1.02
@@ -72,6 +80,17 @@ def heated(config: FlightConfig, state_k: FloatArray) -> LensSystem:
         return heated_lens(lens, ThermalState.of(np.asarray(state_k, float)), housing_of(config.instrument.housing))
     except DomainError as error:
         raise DomainError(f"temperature: {error}") from None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StarErrors:
+    """Centroid errors of n guide stars on the detector; standard deviations per axis."""
+
+    noise_px: FloatArray  # (n,) Temporal noise
+    pattern_px: FloatArray  # (n,) Fixed pattern of the pixels
+    phase_px: FloatArray  # (n,) Pixel phase (S-curve)
+    colour_phase_px: FloatArray  # (n,) Pixel phase of spots of other colours than the calibrated PSF
+    shift_px: FloatArray  # (n, 2) Shift by colour and residual distortion
 
 
 class Budget:
@@ -102,7 +121,7 @@ class Budget:
 
     def _guides(self) -> GuideCatalogue:
         camera = self.nominal
-        limit = camera.value("limiting_magnitude_mag") - 1.5
+        limit = camera.value("limiting_magnitude_mag") - GUIDE_MARGIN_MAG
         stated = self.config.tracker.faintest_mag
         return camera.guide_stars(
             self.sky.catalog,
@@ -162,19 +181,19 @@ class Budget:
 
     @cached_property
     def _heat_bias(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Temperatures [K] of the coldest and hottest lens; bias of a fit of the calibrated PSF by their defocus."""
-        span = self.flight.thermal.values_k[:, 0]
-        ends = np.array([min(span.min(), -SMALLEST_K), max(span.max(), SMALLEST_K)])
-        if not span.any():
+        """Changes of the mean temperature (2,) [K], coldest and hottest; bias of fits of the calibrated PSF there."""
+        mean_k = self.flight.thermal.values_k[:, COMPONENTS.index("mean_k")]
+        extremes_k = np.array([min(mean_k.min(), -MIN_HEATED_K), max(mean_k.max(), MIN_HEATED_K)])
+        if not mean_k.any():
             zero = np.zeros((2, len(self.nominal.state.radius_px)))
-            return ends, zero, zero
+            return extremes_k, zero, zero
         at_c = configured_lens(self.config.instrument).environment.temperature_c
         psfs = []
-        for kelvin in ends:
-            warm = self.config.instrument.model_copy(update={"lens_temperature_c": at_c + float(kelvin)})
+        for extreme_k in extremes_k:
+            warm = self.config.instrument.model_copy(update={"lens_temperature_c": at_c + float(extreme_k)})
             sensor = self.sensor.model_copy(update={"instrument": warm})
             psfs.append(_camera(sensor, *self._trail(self._tracked_rate)).state.psfs)
-        return ends, *self._fit_bias(*psfs)
+        return extremes_k, *self._fit_bias(*psfs)
 
     @property
     def _tracked_rate(self) -> FloatArray:
@@ -190,11 +209,14 @@ class Budget:
         if not centroider_class(self.config.centroid).needs_epsf:
             zero = np.zeros((len(psf_sets), len(self.nominal.state.radius_px)))
             return zero, zero
-        bright = float(self.nominal.electrons(np.array([np.median(self.guides.magnitude)]), 5800.0)[0])
-        calibrated, noise, window_px = self.tracked.state.psfs, self.nominal.processing.noise, self.config.window_px
+        magnitude = np.array([np.median(self.guides.magnitude)])
+        electrons = float(self.nominal.electrons(magnitude, BIAS_STAR_K)[0])
+        calibrated = self.tracked.state.psfs
+        noise = self.nominal.processing.noise
+        window_px = self.config.window_px
         bias = np.array(
             [
-                fit_bias(self.config.centroid, calibrated, psfs, bright, noise=noise, window_px=window_px)
+                fit_bias(self.config.centroid, calibrated, psfs, electrons, noise=noise, window_px=window_px)
                 for psfs in psf_sets
             ]
         )
@@ -213,16 +235,19 @@ class Budget:
 
     def heat_px(self, mean_k: float, radius_px: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Radial bias (n,) of the fit through a warmer lens, and its RMS over pixel phases."""
-        ends, *tables = self._heat_bias
-        end = int(mean_k > 0.0)
-        fraction, radius = abs(mean_k) / abs(ends[end]), self.nominal.state.radius_px
-        bias, spot = (fraction * np.interp(radius_px, radius, rows[end]) for rows in tables)
-        return np.asarray(bias), np.asarray(spot)
+        extremes_k, bias_px, phase_px = self._heat_bias
+        extreme = int(mean_k > 0.0)  # 0: coldest, 1: hottest
+        fraction = abs(mean_k) / abs(extremes_k[extreme])
+        field_px = self.nominal.state.radius_px
+        return (
+            np.asarray(fraction * np.interp(radius_px, field_px, bias_px[extreme])),
+            np.asarray(fraction * np.interp(radius_px, field_px, phase_px[extreme])),
+        )
 
     # --- Stars of an attitude
 
     def expected(self, attitude: Rotation, velocity: FloatArray | None) -> tuple[NDArray[np.int64], FloatArray]:
-        """Guide stars of a tracker, rows of `guides`, and their directions in cam."""
+        """Guide stars of a tracker, rows of `guides`, and their directions in the camera frame."""
         rows, apparent, _ = expected_guides(
             self.guides,
             self.model,
@@ -241,68 +266,76 @@ class Budget:
     def errors_of(
         self, attitude: Rotation, rate_rad_per_s: FloatArray, time_s: float, *, state_k: FloatArray | None = None
     ) -> AttitudeErrors:
-        """As `errors`, for an attitude (cam from icrs) and rate in place of those of the law."""
+        """Errors as `errors`, for a stated attitude (camera from ICRS) and rate instead of the trajectory's."""
         flight, config = self.flight, self.config
         rows, v = self.expected(attitude, flight.velocity_km_per_s(time_s))
-        # probability that no pixel of a window is defective
-        fit = (1.0 - self._defect_fraction) ** (config.window_px**2)
-        vectors = [name for name in AttitudeErrors.__slots__ if name.endswith(("arcsec", "arcsec2"))]
-        numbers = dict.fromkeys(vectors, np.full(3, np.nan))
-        available = len(rows) * fit >= config.tracker.fewest and not flight.blinded(time_s, attitude)
-        if available:
-            background = float(flight.background_e_per_s(time_s, attitude))
-            noise, pixel, phase, spot, shift = self._star_errors(background, rate_rad_per_s, rows, v)
-            weight = 1.0 / (noise**2 + self.unmodelled_px2(rows, v))
-            state = flight.thermal.at(time_s) if state_k is None else state_k
-            thermal, blurred = self._thermal_shift(state, v)
-            sigmas = {"noise": noise, "pixel": pixel, "spot": np.hypot(phase, spot), "focus": blurred}
-            numbers = {
-                f"{name}_arcsec2": self.pixel_arcsec**2
-                * np.diag(covariance_of_noise(v, weight, sigma**2, probability=fit))
-                for name, sigma in sigmas.items()
-            } | {
-                f"{name}_arcsec": RAD_ARCSEC * attitude_of_shifts(v, weight, self._direction_change(v, shift_px))
-                for name, shift_px in (("fov", shift), ("thermal", thermal))
-            }
-            numbers["aberration_arcsec"] = self.aberration_arcsec(time_s, attitude)
-        return AttitudeErrors(time_s=time_s, available=available, stars=len(rows) * fit, **numbers)
+        # a window without a defective pixel gives a usable centroid
+        usable_probability = (1.0 - self._defect_fraction) ** (config.window_px**2)
+        stars = len(rows) * usable_probability
+        if stars < config.tracker.fewest or flight.blinded(time_s, attitude):
+            vectors = [name for name in AttitudeErrors.__slots__ if name.endswith(("arcsec", "arcsec2"))]
+            none = dict.fromkeys(vectors, np.full(3, np.nan))
+            return AttitudeErrors(time_s=time_s, available=False, stars=stars, **none)
+        background = float(flight.background_e_per_s(time_s, attitude))
+        star = self.star_errors(background, rate_rad_per_s, rows, v)
+        thermal_px, focus_px = self._thermal_shift(flight.thermal.at(time_s) if state_k is None else state_k, v)
+        weight = 1.0 / (star.noise_px**2 + self.unmodelled_px2(rows, v))
+
+        def variance_arcsec2(sigma_px: FloatArray) -> FloatArray:
+            covariance_px2 = covariance_of_noise(v, weight, sigma_px**2, probability=usable_probability)
+            return np.asarray(self.pixel_arcsec**2 * np.diag(covariance_px2))
+
+        def error_arcsec(shift_px: FloatArray) -> FloatArray:
+            return np.asarray(RAD_ARCSEC * attitude_of_shifts(v, weight, self._direction_change(v, shift_px)))
+
+        return AttitudeErrors(
+            time_s=time_s,
+            available=True,
+            stars=stars,
+            noise_arcsec2=variance_arcsec2(star.noise_px),
+            pixel_arcsec2=variance_arcsec2(star.pattern_px),
+            spot_arcsec2=variance_arcsec2(np.hypot(star.phase_px, star.colour_phase_px)),
+            focus_arcsec2=variance_arcsec2(focus_px),
+            fov_arcsec=error_arcsec(star.shift_px),
+            thermal_arcsec=error_arcsec(thermal_px),
+            aberration_arcsec=self.aberration_arcsec(time_s, attitude),
+        )
 
     @property
     def _defect_fraction(self) -> float:
-        chip = self.nominal.detector
-        return chip.hot_fraction + chip.dead_fraction
+        detector = self.nominal.detector
+        return detector.hot_fraction + detector.dead_fraction
 
-    def _star_errors(
+    def star_errors(
         self, background_e_per_s: float, rate_rad_per_s: FloatArray, rows: NDArray[np.int64], v: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-        """RMS of noise, pixel patterns, pixel phase, colour phase (n,); shift by colour and distortion (n, 2) [px]."""
+    ) -> StarErrors:
+        """Centroid errors of guide stars, rows of `guides`, in directions ``v`` (n, 3) of the camera frame."""
         camera = self.camera(background_e_per_s, rate_rad_per_s)
         offset_px = self._offset_px(v)
-        radius = np.hypot(*offset_px.T)
-        kelvin = self.sky.temperature_k[self.guides.row[rows]]
-        electrons = camera.state.electrons_per_s(self.sky.magnitude[self.guides.row[rows]], kelvin, radius)
-        electrons = electrons * self.config.instrument.exposure_s * self.sensor.throughput_fraction
+        radius_px = np.hypot(*offset_px.T)
+        temperature_k = self.sky.temperature_k[self.guides.row[rows]]
+        rate_e_per_s = camera.state.electrons_per_s(self.sky.magnitude[self.guides.row[rows]], temperature_k, radius_px)
+        electrons = rate_e_per_s * self.config.instrument.exposure_s * self.sensor.throughput_fraction
         star = camera.stars
-        effective_e = star.effective(electrons, kelvin, radius)
-        noise = star.sigma_at(star.centroid.noise_px, effective_e, radius)
-        pixel, phase = (
-            star.sigma_at(table_px, electrons, radius)
-            for table_px in (star.centroid.pattern_px, star.centroid.phase_px)
+        effective_e = star.effective(electrons, temperature_k, radius_px)
+        colour_px, colour_phase_px = self.colour_px(temperature_k, radius_px)
+        return StarErrors(
+            noise_px=star.sigma_at(star.centroid.noise_px, effective_e, radius_px),
+            pattern_px=star.sigma_at(star.centroid.pattern_px, electrons, radius_px),
+            phase_px=star.sigma_at(star.centroid.phase_px, electrons, radius_px),
+            colour_phase_px=colour_phase_px,
+            shift_px=_radial_shift(colour_px, offset_px) + self._residual.at(v),
         )
-        colour, spot = self.colour_px(kelvin, radius)
-        shift = colour[:, None] * offset_px / np.maximum(radius, 1e-9)[:, None] + self._residual.at(v)
-        return noise, pixel, phase, spot, shift
 
     def _thermal_shift(self, state_k: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Shift of stars by the heated lens (n, 2), and RMS over pixel phases by its defocus (n,) [px]."""
         offset_px = self._offset_px(v)
-        radius = np.hypot(*offset_px.T)
-        bias, spot = self.heat_px(float(state_k[0]), radius)
-        total = bias[:, None] * offset_px / np.maximum(radius, 1e-9)[:, None]
-        for name, value in zip(COMPONENTS, state_k, strict=True):
+        bias_px, phase_px = self.heat_px(float(state_k[0]), np.hypot(*offset_px.T))
+        shift_px = _radial_shift(bias_px, offset_px)
+        for name, component_k in zip(COMPONENTS, state_k, strict=True):
             if name in self.sensitivity:
-                total += value * self.sensitivity[name].at(v)
-        return total, spot
+                shift_px += component_k * self.sensitivity[name].at(v)
+        return shift_px, phase_px
 
     def _direction_change(self, v: FloatArray, shift_px: FloatArray) -> FloatArray:
         """Shifts on the detector as changes of direction (n, 3) by the camera model."""
@@ -321,7 +354,8 @@ class Budget:
 
     def unmodelled_px2(self, rows: NDArray[np.int64], v: FloatArray) -> FloatArray:
         """Variance (n,) per axis that the tracker adds to the noise of guide stars, rows of `guides`."""
-        return np.asarray(self.star_error_px[rows] ** 2 + 0.5 * self.scale_error**2 * (self._offset_px(v) ** 2).sum(1))
+        scale_px2 = 0.5 * self.scale_error**2 * (self._offset_px(v) ** 2).sum(1)  # a radial shift, half per axis
+        return np.asarray(self.star_error_px[rows] ** 2 + scale_px2)
 
     @cached_property
     def star_error_px(self) -> FloatArray:
@@ -339,24 +373,31 @@ class Budget:
 
     @cached_property
     def _common_error(self) -> tuple[float, float]:
-        """Common to all colours: variance per axis without noise and scale [px^2], and RMS error of the scale."""
+        """Terms common to all colours: variance per axis without noise and scale [px^2], RMS error of the scale."""
         squares, scales = [0.0], [0.0]
         for time in self.flight.segments_s:
             rows, v = self.expected(self.flight.trajectory.attitude(float(time)), None)
             if len(rows) <= 2:
                 continue
             rate = np.asarray(self.flight.trajectory.rate(float(time)))
-            _, pixel, phase, _, _ = self._star_errors(0.0, rate, rows, v)
-            thermal, blurred = self._thermal_shift(self.flight.thermal.at(float(time)), v)
-            (*_, growth), residual = fit_similarity(self._offset_px(v), thermal)  # the attitude absorbs shift and roll
-            residual = residual + self._residual.at(v)
-            squares += list(pixel**2 + phase**2 + blurred**2 + 0.5 * (residual**2).sum(1))
-            scales.append(growth)
+            star = self.star_errors(0.0, rate, rows, v)
+            thermal_px, focus_px = self._thermal_shift(self.flight.thermal.at(float(time)), v)
+            # the attitude absorbs shift and roll
+            (*_, scale_change), residual_px = fit_similarity(self._offset_px(v), thermal_px)
+            residual_px = residual_px + self._residual.at(v)
+            squares += list(star.pattern_px**2 + star.phase_px**2 + focus_px**2 + 0.5 * (residual_px**2).sum(1))
+            scales.append(scale_change)
         return float(np.mean(squares)), float(np.sqrt(np.mean(np.square(scales))))
 
     def bias_arcsec(self) -> FloatArray:
         """Error (3,) of the alignment on ground."""
         return np.array(self.config.tracker.alignment_arcsec)
+
+
+def _radial_shift(shift_px: FloatArray, offset_px: FloatArray) -> FloatArray:
+    """Shifts (n, 2) of the sizes (n,), away from the centre of the detector; 0 in the centre."""
+    radius_px = np.hypot(*offset_px.T)
+    return np.asarray(shift_px[:, None] * offset_px / np.maximum(radius_px, 1e-9)[:, None])
 
 
 def _sensor(config: FlightConfig, old: bool) -> PredictedSensorConfig:

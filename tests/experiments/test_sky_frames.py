@@ -8,7 +8,7 @@ import pytest
 
 from experiments.dataset import frame as dataset_frame
 from experiments.dataset import scene as dataset_scene
-from experiments.dataset.labels import LabelMaker
+from experiments.dataset.labels import FrameLabeller
 from experiments.dataset.settings import DatasetConfig
 from experiments.flight.frames import FlightCamera
 from experiments.flight.prediction import build_budget
@@ -58,8 +58,8 @@ def test_a_dataset_with_everything(engine, tmp_path, direction_deg, count, diges
     turn = {"kind": "scan", "rate_deg_per_s": [0.0, 0.05, 0.02], "frame_rate_hz": 10.0}
     pointing = turn | dict(zip(("ra_deg", "dec_deg"), direction_deg, strict=True))
     scene = dataset_scene.build_scene(DatasetConfig(**SCAN, pointing=pointing, instrument=SMALL | chip))
-    calibrated = dataset_frame.FrameMaker(scene).make(1)
-    assert "cosmic_ray" in {label.kind for label in LabelMaker(scene).labels(1)}
+    calibrated = dataset_frame.FrameRenderer(scene).render(1)
+    assert "cosmic_ray" in {label.kind for label in FrameLabeller(scene).labels(1)}
     assert (len(calibrated.truth["star_id"]), np.count_nonzero(calibrated.cosmic_rays)) == count
     assert set(calibrated.layers) == {"stars", "sky", "bodies", "dark"}
     assert digest(calibrated.frame.dn) == digests[0]

@@ -82,7 +82,7 @@ def test_layers_of_a_frame_add_up_to_its_light(compression, job, tmp_path):
     record = make_frame(with_layers, 1)
     with fits.open(tmp_path / "layers" / "frame_000001.fits", checksum=True) as content:
         layers = {unit.name: np.array(unit.data) for unit in content[1:]}
-    scene = prepare(with_layers)[0].scene
+    scene = prepare(with_layers).renderer.scene
     light = scene.simulator.expected(plan_frame(scene.plan, 1).attitude).electrons
     np.testing.assert_allclose(sum(image for name, image in layers.items() if name != "DARK"), light, rtol=1e-5)
     assert make_frame(with_layers, 1) == record  # it is there

@@ -11,9 +11,9 @@ from astropy.coordinates import GCRS, SkyCoord, get_body, get_sun
 from astropy.time import Time
 from scipy import ndimage
 
-from experiments.dataset.frame import FrameMaker
-from experiments.dataset.job import frame_record, pixel_marks
-from experiments.dataset.labels import LabelMaker, body_labels, disk_truth
+from experiments.dataset.frame import FrameRenderer
+from experiments.dataset.job import frame_record, mask_planes
+from experiments.dataset.labels import FrameLabeller, body_labels, disk_truth
 from experiments.dataset.plan import build_plan, plan_frame
 from experiments.dataset.scene import build_scene
 from experiments.dataset.settings import (
@@ -73,7 +73,7 @@ def test_venus_behind_the_moon_gives_no_light():
             "pointing": {"kind": "body", "body": "moon", "offset_deg": 0.5},
         }
     )
-    truth = FrameMaker(build_scene(config)).make(0).truth
+    truth = FrameRenderer(build_scene(config)).render(0).truth
     venus = np.flatnonzero(truth["star_id"] == -1000299)
     assert len(venus) == 1
     assert truth["electrons"][venus[0]] == 0.0
@@ -95,7 +95,7 @@ def test_labels_of_hot_pixels_and_cosmic_rays(engine):
         radiation=RadiationConfig(environment="leo_quiet", displacement_dose_tev_per_g=500.0),
     )
     scene = build_scene(config)
-    labels, hits = LabelMaker(scene).labels(0), scene.simulator.hits(0)
+    labels, hits = FrameLabeller(scene).labels(0), scene.simulator.hits(0)
     rays = [label for label in labels if label.kind == "cosmic_ray"]
     assert sum(label.pixels.shape[1] for label in rays) == np.count_nonzero(hits.hit_mask)
     strong = hits.charge_e[hits.hit_mask[hits.row, hits.column]]
@@ -145,7 +145,7 @@ def test_the_label_of_the_moon_is_its_disk():
     assert np.hypot(label.x_px - 127.5, label.y_px - 95.5) < 0.32 * 3600.0 / scene.instrument.pixel_arcsec
     struck = np.zeros((192, 256), bool)
     frame = SimpleNamespace(plan=plan, cosmic_rays=struck, frame=SimpleNamespace(dn=np.zeros((192, 256))))
-    marks = pixel_marks(scene, frame)
+    marks = mask_planes(scene, frame)
     assert marks["DISK"].sum() == label.pixels.shape[1]
     assert marks["COSMIC"] is struck
     image = SimpleNamespace(electrons=np.array([5.0]), photon_px=np.array([[1.0, 2.0]]), noise_share=0.0)
@@ -163,7 +163,7 @@ def test_the_moon_behind_the_earth():
     background = BackgroundConfig(moon_planets=True, earth_direction_deg=away, earth_distance_km=1e6)
     pointing = BodyPointing(body="moon", offset_deg=0.1)
     scene = build_scene(DatasetConfig(instrument=small, nodes=3, pointing=pointing, background=background))
-    made = FrameMaker(scene).make(0)
+    made = FrameRenderer(scene).render(0)
     earth, hidden = made.disks
     assert (earth.name, hidden.name) == ("earth", "moon")
     assert earth.image.electrons[0] > 1e3
@@ -184,13 +184,13 @@ def test_a_field_with_the_moon_has_its_disk_where_the_label_says():
     assert config.catalogue.observer == "earth"
     assert config.background.moon_planets
     scene = build_scene(config)
-    maker = FrameMaker(scene)
-    labels = LabelMaker(scene)
+    maker = FrameRenderer(scene)
+    labels = FrameLabeller(scene)
     for frame in range(2):
         (moon,) = [one for one in labels.labels(frame) if one.name == "moon"]
-        made = maker.make(frame)
+        made = maker.render(frame)
         lit = made.disks[0].image.image.electrons[:, :, 0]
-        marked = pixel_marks(scene, made)["DISK"]  # pixels with their middle on the disk; its limb is blurred
+        marked = mask_planes(scene, made)["DISK"]  # pixels with their middle on the disk; its limb is blurred
         assert lit[ndimage.binary_dilation(marked, np.ones((3, 3)))].sum() > 0.99 * lit.sum()
         assert lit[ndimage.binary_erosion(~marked, np.ones((3, 3)))].max() < 0.05 * lit.max()
         (disk,) = disk_truth(scene, made.plan, made.disks)

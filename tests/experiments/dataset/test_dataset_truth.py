@@ -8,7 +8,7 @@ from astropy.coordinates import SkyCoord
 
 from calib.measure.centroid_error.cramer_rao_bound import flux_snr
 from calib.measure.detection.footprints import footprint_px
-from experiments.dataset.frame import FrameMaker
+from experiments.dataset.frame import FrameRenderer
 from experiments.dataset.job import frame_record
 from experiments.dataset.scene import build_scene, stars_of
 from experiments.dataset.settings import ConePointing, DatasetConfig, FixedRate, ScanPointing
@@ -28,12 +28,12 @@ SMALL = {
 
 @pytest.fixture(scope="module")
 def maker(engine):
-    return FrameMaker(build_scene(DatasetConfig(**SMALL)))
+    return FrameRenderer(build_scene(DatasetConfig(**SMALL)))
 
 
 @pytest.fixture(scope="module")
 def made(maker):
-    return maker.make(0)
+    return maker.render(0)
 
 
 @pytest.mark.slow
@@ -124,9 +124,9 @@ def test_a_record_says_the_same_in_text_and_in_angles(maker, made):
 def test_no_light_at_all(engine):
     """A field without stars is a frame like any other: noise, and a table without rows."""
     config = DatasetConfig(**{**SMALL, "pointing": ConePointing(ra_deg=192.9, dec_deg=27.1, radius_deg=2.0)}, frames=50)
-    maker = FrameMaker(build_scene(config))
+    maker = FrameRenderer(build_scene(config))
     empty = next(k for k in range(50) if not len(stars_of(maker.scene, k)))
-    made = maker.make(empty)
+    made = maker.render(empty)
     assert made.stars == made.saturated == 0
     assert len(made.truth["star_id"]) == 0
     assert made.frame.dn.std() > 1.0
@@ -157,7 +157,7 @@ def test_smear_and_place(engine, scanned, line_time_us):
             instrument=InstrumentConfig(**sensor), nodes=3, catalogue=CatalogueConfig(faintest_mag=8.0), **settings
         )
     )
-    made = FrameMaker(scene).make(2)
+    made = FrameRenderer(scene).render(2)
     truth, plan = made.truth, made.plan
     assert np.degrees(made.plan.rate_rad_per_s) == pytest.approx(RATE_DEG_PER_S)
     direction = SkyCoord(truth["ra_deg"], truth["dec_deg"], unit="deg").cartesian.xyz.value.T.copy()

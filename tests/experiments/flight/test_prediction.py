@@ -54,8 +54,8 @@ def predicted(budget):
 def stars_of(budget, attitude):
     rows, v = budget.expected(attitude, budget.flight.velocity_km_per_s(TIME_S))
     light = float(budget.flight.background_e_per_s(TIME_S, attitude))
-    noise, pixel, phase, spot, shift = budget._star_errors(light, REST, rows, v)
-    return rows, v, (noise, pixel, np.hypot(phase, spot), shift)
+    star = budget.star_errors(light, REST, rows, v)
+    return rows, v, (star.noise_px, star.pattern_px, np.hypot(star.phase_px, star.colour_phase_px), star.shift_px)
 
 
 @pytest.mark.slow

@@ -72,7 +72,7 @@ def test_temporal_error_of_a_point_target(engine, bench_of, camera):
 @pytest.fixture(scope="module")
 def dataset(engine, chip_file):
     """Frames of the sky through the chip; the pixel variance of a frame without stars, measured."""
-    from experiments.dataset.frame import FrameMaker
+    from experiments.dataset.frame import FrameRenderer
     from experiments.dataset.scene import build_scene
     from experiments.dataset.settings import ConePointing, DatasetConfig, VerifyConfig
 
@@ -85,8 +85,8 @@ def dataset(engine, chip_file):
         pointing=ConePointing(ra_deg=56.75, dec_deg=24.12, radius_deg=0.1),
         verify=VerifyConfig(dark_frames=3),
     )
-    maker = FrameMaker(build_scene(config))
-    return maker, maker.make(0)
+    maker = FrameRenderer(build_scene(config))
+    return maker, maker.render(0)
 
 
 def empty_pixels(scene, sky_e: float, dark_frames: int) -> np.ndarray:
@@ -114,7 +114,7 @@ def test_signal_to_noise_ratio_of_the_truth(dataset, monkeypatch):
         return flux_snr(electrons, area_px2, noise_e2=noise_e2)
 
     monkeypatch.setattr(dataset_truth, "flux_snr", noted)
-    assert np.array_equal(maker.make(0).truth["snr"], made.truth["snr"])
+    assert np.array_equal(maker.render(0).truth["snr"], made.truth["snr"])
     within(empty_pixels(maker.scene, made.background_e, 0), stated[0])
 
 
