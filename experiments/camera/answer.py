@@ -107,8 +107,8 @@ class Swing:
     single_star_change: Sequence[float] = col("Single star", format="+.3f", dims="end", shown=False)
     limiting_magnitude_change_mag: Sequence[float] = col("Limiting magnitude", "mag", "+.2f", "end")
     stars_worst_change: Sequence[float] = col("Stars", format="+.3f", dims="end", shown=False)
-    label: str  # Of the key
-    best_value: float  # Of the two, the one with the smaller attitude error
+    label: str  # Name of the setting in words
+    best_value: float  # The value, low or high, with the smaller attitude error
     gain: float  # Relative decrease of the attitude error there; 0 if neither value lowers it
 
     @property

@@ -47,10 +47,10 @@ NEAR_PX = 4.0
 class MatchedStars:
     """Stars of one or more frames, and their detections."""
 
-    magnitude: FloatArray  # (n,) Of every star with light on the detector
+    magnitude: FloatArray  # (n,) Magnitude of every star with light on the detector
     snr: FloatArray  # (n,)
     electrons: FloatArray  # (n,)
-    flags: NDArray[np.int32]  # (n,) Of the truth (`experiments.dataset.truth.FLAGS`)
+    flags: NDArray[np.int32]  # (n,) Sums of bits of `experiments.dataset.truth.FLAGS`
     matched: NDArray[np.bool_]  # (n,) Whether it is detected
     fit: NDArray[np.bool_]  # (n,) Whether its detection has no flag
     blend_flagged: NDArray[np.bool_]  # (n,) Whether its detection is flagged ``BLEND``

@@ -64,7 +64,7 @@ class CompleteDataset:
 
     frames: int = col("Frames")
     frames_made: int = col("Frames made by this run")
-    # From the first finished frame to the last, all workers together; NaN for fewer than two
+    # Rate between the first finished frame and the last, all workers together; NaN for fewer than two frames
     frames_per_s: float = col("Frames per second", format=".1f")
     workers: int = col("Processes")
     stars: int = col("Star images")
@@ -72,7 +72,7 @@ class CompleteDataset:
     damaged: tuple[int, ...]  # Existing frames that were damaged and rendered again
     folder: Path
     scene: DatasetScene
-    records: tuple[FrameRecord, ...]  # By frame number
+    records: tuple[FrameRecord, ...]  # Records in the order of the frame numbers
     exports: Mapping[str, str]  # Name of an export -> its content, in words
 
 

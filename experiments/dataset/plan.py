@@ -44,7 +44,7 @@ class Plan:
 
     config: DatasetConfig
     streams: Streams  # Root of the random streams of the dataset
-    duration_s: float  # From the start of the exposure of the first row to the end of that of the last
+    duration_s: float  # Time from the start of exposure of the first row to the end of exposure of the last row
     attitudes: Rotation | None  # Attitudes of a list, one per frame
     sampling_region: SkyPointing | ConePointing | None  # Boresights of random attitudes; about a body, a cone
     trajectory: Trajectory | None  # Motion of a scan through all frames, jitter included

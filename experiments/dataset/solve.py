@@ -51,7 +51,7 @@ class SkyMap:
     """Apparent directions of the catalogue, for attitudes."""
 
     direction: FloatArray  # (n, 3) Unit vectors in icrs, aberration included if the frames have it
-    by_id: Mapping[int, FloatArray] | None  # By identifier of tetra3rs; None for its own directions
+    by_id: Mapping[int, FloatArray] | None  # Directions by identifier of tetra3rs; None: the directions of its database
     id: NDArray[np.int64]  # (n,) Identifiers
 
     def __post_init__(self) -> None:
@@ -65,7 +65,7 @@ class SolvedFrame:
     """Result of a frame; errors are rotation vectors in cam: across the boresight x, y, and roll z."""
 
     frame: int = col("Frame")
-    # Of `calib.attitude.identify.identify`; "wrong" for an error of more than a pixel
+    # Status of `calib.attitude.identify.identify`; "wrong" for an error of more than a pixel
     status: str = col("Status")
     detected: int = col("Detected")
     fit: int = col("Without a flag")
@@ -74,7 +74,7 @@ class SolvedFrame:
     error_arcsec: FloatArray = col("Error", "arcsec", dims="axis")  # NaN for none
     sigma_arcsec: FloatArray = col("σ", "arcsec", dims="axis")
     message: str = col("Message")
-    equal_error_arcsec: FloatArray  # (3,) With equal weights, of the stars that tetra3rs matched
+    equal_error_arcsec: FloatArray  # (3,) Attitude error with equal weights of the stars that tetra3rs matched
     common_px: float  # Common centroid error estimated from the residuals
 
     def __post_init__(self) -> None:

@@ -30,7 +30,9 @@ from render.motion.trajectory import rate_of_trail, trail_of_rate
 ORBIT_SAMPLES = 61
 """Times of the curves over the orbit."""
 COVERAGE_ATTITUDES = 1500
+"""Random attitudes of the sky coverage."""
 CONFIDENCE = 0.9
+"""Confidence of the lower limit of the acquisition success."""
 LEVEL = 0.95
 """Confidence level of the metrics."""
 
@@ -47,7 +49,7 @@ class Mission:
     detector: str = col("Detector")
     period_s: float = col("Period of the orbit", "s", ".0f")
     rate_deg_per_s: float = col("Rate across the line of sight, mean", "deg/s", ".4g")
-    # At an angular acceleration a the photocentre over the exposure t is a t^2 / 24 off that of its middle
+    # Angular acceleration a, exposure t: mean attitude over t minus attitude at mid-exposure = a t^2 / 24
     acceleration_bias_s2: float = col("Attitude error across per angular acceleration", "s2", ".3g")
     guide_stars: int = col("Guide stars")
     guide_stars_mean: float = col("Guide stars in the field, mean over the sky", "", ".1f")
@@ -67,18 +69,19 @@ class Mission:
     false_stars_per_frame: float | None = col("Planets and cosmic rays per frame, truth", "", ".3g", default=None)
 
 
-def mission(budget: Budget, history: Sequence[OrbitSample], segments: Sequence[Segment]) -> Mission:
+def summarise_mission(budget: Budget, history: Sequence[OrbitSample], segments: Sequence[Segment]) -> Mission:
     """Numbers of the mission."""
     config, flight, state = budget.config, budget.flight, budget.nominal.state
     counts = sky_coverage(
         budget.guides, budget.model, attitudes=COVERAGE_ATTITUDES, margin_px=config.window_px // 2 + 1.0
     )
     rates = [trail_of_rate(flight.trajectory.rate(sample.time_min * 60.0))[0] for sample in history]
-    lens, chip = state.sensor.camera.lens.name, budget.nominal.detector.name
+    lens = state.sensor.camera.lens.name
+    detector = budget.nominal.detector.name
     return Mission(
-        name=config.name or f"{lens} on {chip}",
+        name=config.name or f"{lens} on {detector}",
         lens=lens,
-        detector=chip,
+        detector=detector,
         period_s=flight.period_s,
         rate_deg_per_s=float(np.mean(rates)),
         acceleration_bias_s2=config.instrument.exposure_s**2 / 24.0,
@@ -228,7 +231,7 @@ def metrics(terms: Sequence[AttitudeTerm], segments: Sequence[Segment]) -> list[
     squares = {term.term: np.square(term.predicted_arcsec) for term in terms}
     values: list[dict[str, float]] = []
     if any(segment.solved.any() for segment in segments):
-        # (segments, frames, 3) Of the first readout
+        # (segments, frames, 3) Errors of the first readout
         error = np.array([np.where(segment.solved[:, None], segment.error_arcsec[0], np.nan) for segment in segments])
         series = error.reshape(-1, 3).T
         values = [ecss_metrics(series[list(component_axes)], error.shape[1], LEVEL) for _, component_axes in COMPONENTS]
@@ -394,7 +397,7 @@ def run(config: FlightConfig, *, progress: Progress) -> dict[str, Any]:
             segments = render_flight(budget, advance=stage.advance)
     terms = measured_terms(budget, segments, errors) if segments else predicted_terms(budget, errors)
     return {
-        "mission": mission(budget, history, segments),
+        "mission": summarise_mission(budget, history, segments),
         "terms": terms or None,
         "metrics": metrics(terms, segments) if terms else None,
         "history": history,

@@ -25,11 +25,13 @@ from optics.units import RAD_ARCSEC
 from render.sensor_file.instrument import build_instrument, housing_of
 
 LEVELS = (0.683, 0.95, 0.997)
+"""Confidence levels of the AME."""
 OVER_TEMPERATURE = {"focus_shift_um", "spot_thermal_px", "scale_change_ppm"}
 """Requirements that need the sensor predicted at several temperatures."""
 CONFIDENCE = 0.9
 """Confidence of a limit that is estimated from a sample of attitudes."""
 ANALYSIS, RENDERED, INPUT = "analysis", "rendered simulation", "input"
+"""Derivations of a number: method of verification, or a setting."""
 EARTH_KM_PER_S = 29.7847
 """Mean orbital speed of the Earth."""
 
@@ -40,7 +42,7 @@ class StatementLine:
 
     clause: str  # Key of `CLAUSES`
     quantity: str
-    value: str  # With its unit; across the boresight / about it
+    value: str  # Number with its unit; cross-boresight / roll
     statistic: str
     conditions: str
     derivation: str = ANALYSIS
@@ -58,7 +60,7 @@ class Statement:
     unjudged: Sequence[str]
     flight: str
     notes: Sequence[str] = field(default_factory=tuple)
-    ame_arcsec: tuple[float, float]  # At 95 %, across and about the boresight
+    ame_arcsec: tuple[float, float]  # AME at 95 %: cross-boresight, roll
     limiting_mag: float
 
 
@@ -66,7 +68,7 @@ Numbers = Callable[[str], float]
 """Prediction of the experiment camera by field."""
 
 
-def _pair(number: Numbers, name: str = "") -> tuple[float, float]:
+def _attitude_error(number: Numbers, name: str = "") -> tuple[float, float]:
     """A predicted attitude error across and about the boresight."""
     return number(f"attitude_cross{name}_arcsec"), number(f"attitude_roll{name}_arcsec")
 
@@ -97,8 +99,9 @@ def predict_statement(sensor: Sequence[str], settings: Sequence[str] = (), fligh
     def number(name: str) -> float:
         return float(numbers[name].values)
 
-    setup, judged = outcome.result["setup"], outcome.result["requirements"]
-    thermal, refusal = _sensitivity(config, number("field_diagonal_deg"))
+    setup = outcome.result["setup"]
+    requirements = outcome.result["requirements"]
+    thermal, reason = _sensitivity(config, number("field_diagonal_deg"))
     conditions = _conditions(config, number, setup)
     sampled_sky = f"sky, {config.sky.attitudes} attitudes"
     across, roll = (outcome.values(f"attitudes.{axis}_arcsec") for axis in ("cross", "roll"))
@@ -117,10 +120,10 @@ def predict_statement(sensor: Sequence[str], settings: Sequence[str] = (), fligh
             *_detection(number, sampled_sky),
             *([] if flown is None else _availability(flown, Path(str(flight)).name)),
         ],
-        requirements=judged,
-        unjudged=sorted(required - {requirement.key for requirement in judged}),
+        requirements=requirements,
+        unjudged=sorted(required - {requirement.key for requirement in requirements}),
         flight="" if flight is None else Path(flight).name,
-        notes=[f"No thermo-elastic sensitivity: {refusal}."] if refusal else [],
+        notes=[f"No thermo-elastic sensitivity: {reason}."] if reason else [],
         ame_arcsec=(mixture_bound(across, 0.95), mixture_bound(roll, 0.95)),
         limiting_mag=number("limiting_magnitude_mag"),
     )
@@ -177,9 +180,11 @@ def _percent(level: float) -> str:
 
 
 def _attitude(number: Numbers, across: FloatArray, roll: FloatArray, sampled_sky: str) -> Iterator[StatementLine]:
-    axes, factor, worst = (across, roll), normal_factor(0.997), "attitude, worst 1 % of the sky"
+    axes = (across, roll)
+    factor = normal_factor(0.997)
+    worst = "attitude, worst 1 % of the sky"
     rows = [("attitude", [mixture_bound(a, p) for a in axes], f"AME, {_percent(p)}, mixed") for p in LEVELS]
-    rows.append((worst, [factor * v for v in _pair(number, "_worst")], "AME, 99.7 %, ensemble, normal error"))
+    rows.append((worst, [factor * v for v in _attitude_error(number, "_worst")], "AME, 99.7 %, ensemble, normal error"))
     limits = [factor * quantile_limit(axis, 0.99, CONFIDENCE) for axis in axes]
     rows.append((worst, limits, f"the same, upper limit at {_percent(CONFIDENCE)} confidence"))
     for quantity, values, statistic in rows:
@@ -189,16 +194,16 @@ def _attitude(number: Numbers, across: FloatArray, roll: FloatArray, sampled_sky
 
 
 def _terms(number: Numbers, config: Any, sampled_sky: str) -> Iterator[StatementLine]:
-    factor, sigma = normal_factor(0.997), "99.7 %, normal error"
+    factor = normal_factor(0.997)
+    sigma = "99.7 %, normal error"
     star = f"star of {config.star.magnitude_mag:g} mag, mean over the detector"
     rows: list[tuple[str, str, Sequence[float], str, str]] = []
     for part, where in (("", "median of the sky"), ("_worst", "worst 1 % of the sky")):
-        noise, total = _pair(number, f"{part}_noise"), _pair(number, part)
+        noise = _attitude_error(number, f"{part}_noise")
+        total = _attitude_error(number, part)
         spatial = [math.sqrt(max(t * t - n * n, 0.0)) for t, n in zip(total, noise, strict=True)]
-        quantity, squares = (
-            f"attitude, {where}; with star colours (FOV spatial)",
-            f"{sampled_sky}; squares of quantiles subtracted",
-        )
+        quantity = f"attitude, {where}; with star colours (FOV spatial)"
+        squares = f"{sampled_sky}; squares of quantiles subtracted"
         rows.append(("temporal_noise", f"attitude, {where}", noise, f"RME, {sigma}, ensemble", sampled_sky))
         rows.append(("pixel_spatial", quantity, spatial, f"{sigma}, ensemble", squares))
     for clause, quantity, parts in (

@@ -45,11 +45,11 @@ class SunFrames:
 
     stars: NDArray[np.int64]  # (m,) Detected stars
     false: NDArray[np.int64]  # (m,) False detections
-    lost_fraction: FloatArray  # (m,) Of the stars detected without the Sun
+    lost_fraction: FloatArray  # (m,) Fraction lost of the stars detected without the Sun
     error_px: FloatArray  # (k,) Centroid minus photocentre, per axis, of stars with a valid fit
     solved: NDArray[np.bool_]  # (m,)
     error_arcsec: FloatArray  # (m, 3) Attitude; NaN: not solved
-    detected: tuple[NDArray[np.bool_], ...]  # By attitude, for each star
+    detected: tuple[NDArray[np.bool_], ...]  # For each attitude, whether each star is detected
     example_e: NDArray[np.float32]  # First frame
 
 

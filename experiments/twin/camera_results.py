@@ -21,7 +21,7 @@ from experiments.twin.synthetic import RenderedNight
 from optics.arrays import FloatArray
 from optics.units import RAD_ARCSEC
 
-FEWEST_STARS = 8
+MIN_BRIGHT_STARS = 8
 """Bright stars below which the terms of their residual are NaN."""
 
 
@@ -35,8 +35,8 @@ class CameraNumbers:
     focal_length_px: Measured = col("Focal length", "px")
     focal_length_mm: Measured = col("Focal length", "mm")
     field_width_deg: float = col("Field, width", "deg", ".3f")
-    principal_offset_x_px: Measured = col("Principal point from the middle, columns", "px")
-    principal_offset_y_px: Measured = col("Principal point from the middle, rows", "px")
+    principal_offset_x_px: Measured = col("Principal point from the centre, columns", "px")
+    principal_offset_y_px: Measured = col("Principal point from the centre, rows", "px")
     corner_distortion_px: float = col("Distortion at the corner", "px", ".3f")
     error_floor_px: float = col("Error per axis beyond the noise of centroids", "px", ".3f")
     psf_width_px: Measured = col("Width of the PSF's core, reference colour", "px")
@@ -183,7 +183,7 @@ def residual_terms(fit: CameraFit, compared: HeldOut, limit_mag: float) -> list[
     def rms(stars: Centroids) -> tuple[float, float]:
         residual = camera_residuals(stars.observations, fit.camera, fit.attitudes)
         bright = (stars.magnitude < limit_mag - BRIGHT_MAG) & (np.hypot(*residual.T) < CLIP_PX)
-        if bright.sum() < FEWEST_STARS:
+        if bright.sum() < MIN_BRIGHT_STARS:
             return float("nan"), float("nan")
         return float(np.sqrt((residual[bright] ** 2).mean())), float(np.sqrt((stars.noise_px[bright] ** 2).mean()))
 
@@ -217,22 +217,23 @@ class TrueNumber:
 
 def true_numbers(truth: RenderedNight, numbers: CameraNumbers, fit: CameraFit) -> list[TrueNumber]:
     """Measured camera against the camera that rendered the frames."""
-    chip, focal = truth.detector, truth.camera.value("focal_length_mm")
+    detector = truth.detector
+    focal_mm = truth.camera.value("focal_length_mm")
     grid = truth.camera.geometry.grid_px(13)
     line_of_sight = line_of_sight_map(
         fit.camera, truth.camera.unproject(grid), grid, covariance=fit.calibration.covariance
     )
     error_px, predicted_px = (
-        float(np.sqrt(np.nanmean(np.square(part)))) * focal / chip.pixel_pitch_mm / RAD_ARCSEC
+        float(np.sqrt(np.nanmean(np.square(part)))) * focal_mm / detector.pixel_pitch_mm / RAD_ARCSEC
         for part in (line_of_sight.error_arcsec, line_of_sight.predicted_sigma_arcsec)
     )
     rows = [
         ("map of the camera, RMS error", "px", measured(error_px, predicted_px), 0.0),
-        ("gain", "e-/DN", numbers.gain_e_per_dn, 1.0 / chip.gain_dn_per_e),
-        ("PRNU", "percent", numbers.prnu_percent, 100.0 * chip.prnu),
+        ("gain", "e-/DN", numbers.gain_e_per_dn, 1.0 / detector.gain_dn_per_e),
+        ("PRNU", "percent", numbers.prnu_percent, 100.0 * detector.prnu),
         ("zero point", "mag", numbers.zero_point_mag, truth.zero_point_mag),
         ("vignetting at the corner", "mag", numbers.vignetting_mag, truth.corner_vignetting_mag),
-        ("focal length", "px", numbers.focal_length_px, focal / chip.pixel_pitch_mm),
+        ("focal length", "px", numbers.focal_length_px, focal_mm / detector.pixel_pitch_mm),
     ]
     return [
         TrueNumber(

@@ -36,7 +36,10 @@ from optics.arrays import FloatArray, IntArray
 
 THRESHOLDS_SIGMA = (5.0, 6.0)
 CLIP_PX = 0.7
-ISOLATED_PX, EDGE_PX = 8.0, 4.0
+ISOLATED_PX = 8.0
+"""Least distance of an isolated star from its neighbours."""
+EDGE_PX = 4.0
+"""Least distance of a star from the edge."""
 BRIGHT_MAG = 1.5
 """Bright stars: brighter than the limiting magnitude by this."""
 HALF_BIN_MAG = 0.25
@@ -47,14 +50,14 @@ HALF_BIN_MAG = 0.25
 class FrameStatistics:
     """Reduction of a frame: n catalogue stars, f false detections, m matched, isolated stars with a valid fit."""
 
-    magnitude: FloatArray  # (n,) Of the catalogue stars on the detector
-    significance: FloatArray  # (n,) Of their detections; 0 if not detected
-    false_significance: FloatArray  # (f,) Of detections without a star
-    trail_detections: int  # Along lines; not counted as false
+    magnitude: FloatArray  # (n,) Magnitudes of the catalogue stars on the detector
+    significance: FloatArray  # (n,) Significance of these stars; 0 if not detected
+    false_significance: FloatArray  # (f,) Significance of detections without a star
+    trail_detections: int  # Number of detections along lines; not false detections
     star_magnitude: FloatArray  # (m,)
     star_colour: IntArray  # (m,) Colour class
-    width_px: FloatArray  # (m,) Of a Gaussian fit
-    residual_px: FloatArray  # (m, 2) About the camera model, the attitude fitted to this frame
+    width_px: FloatArray  # (m,) Width of a Gaussian fit
+    residual_px: FloatArray  # (m, 2) Residual of the camera model, the attitude fitted to this frame
     position_px: FloatArray  # (m, 2)
     blocks: SkyBlocks
     fluxes: dict[str, Any]  # Columns of `star_fluxes`: isolated bright stars

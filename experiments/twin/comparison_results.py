@@ -20,10 +20,17 @@ from experiments.twin.pipeline import MeasuredNight
 from optics.arrays import FloatArray, IntArray
 
 FALSE_ALARM = 0.01
+"""Probability that an exact twin fails a criterion."""
 COMPLETENESS_LIMIT = 0.03
-FRAME_LIMIT, NOISE_LIMIT = 0.07, 0.01
+"""Allowed difference of the detected fraction."""
+FRAME_LIMIT = 0.07
+"""Allowed relative difference of the stars in a frame."""
+NOISE_LIMIT = 0.01
+"""Allowed relative difference of the noise of a frame."""
 FALSE_LIMIT_SIGMA = two_sided_quantile(FALSE_ALARM)
-FEWEST_IN_BIN, FEWEST_WINDOWS = 30, 30
+MIN_STARS_IN_BIN = 30
+MIN_WINDOWS = 30
+"""Star windows, real and rendered each, for a classifier."""
 CLASSIFIED_MAG = 1.0
 """Classified star windows: stars brighter than the limiting magnitude by this."""
 
@@ -49,14 +56,15 @@ class FrameNumbers:
 
 def frame_numbers(night: MeasuredNight, compared: HeldOut) -> list[FrameNumbers]:
     """Solved frames, real and rendered."""
-    out = []
+    rows = []
     for number, row in enumerate(night.rows):
-        solution, real = night.solutions[row], compared.real[number]
+        solution = night.solutions[row]
+        real = compared.real[number]
         stars, noise = (
             np.array([float(quantity(frames[number])) for frames in (compared.real, *compared.sets)])
             for quantity in (_star_count, _noise_dn)
         )
-        out.append(
+        rows.append(
             FrameNumbers(
                 name=solution.name,
                 detections=len(solution.detected.stars),
@@ -73,7 +81,7 @@ def frame_numbers(night: MeasuredNight, compared: HeldOut) -> list[FrameNumbers]
                 trail_detections=real.trail_detections,
             )
         )
-    return out
+    return rows
 
 
 def _star_count(frame: FrameStatistics) -> int:
@@ -105,7 +113,7 @@ class ComparedStatistic:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class HalfMagnitude:
+class CompletenessBin:
     """Completeness between two magnitudes."""
 
     magnitude_mag: float = col("G", "mag", ".2f")
@@ -138,10 +146,10 @@ class Feature:
     effect_sigma: float = col("Rendered minus real", "sigma", ".3f")
 
 
-def comparison(compared: HeldOut, limit_mag: float) -> list[ComparedStatistic]:
+def compare_statistics(compared: HeldOut, limit_mag: float) -> list[ComparedStatistic]:
     """Statistics of the real frames and of the rendered sets."""
     sets = [statistics_of(frames, limit_mag, compared.airmass) for frames in (compared.real, *compared.sets)]
-    out = []
+    rows = []
     for real, *rendered in zip(*sets, strict=True):
         values = np.array([statistic.value for statistic in rendered])
         spread = float(values.std(ddof=1))
@@ -149,7 +157,7 @@ def comparison(compared: HeldOut, limit_mag: float) -> list[ComparedStatistic]:
         difference = (float(values.mean()) - real.value) / scale
         error = spread * np.sqrt(1.0 + 1.0 / len(values)) / abs(scale)
         judged = np.isfinite(real.limit) and np.isfinite(difference)
-        out.append(
+        rows.append(
             ComparedStatistic(
                 key=real.key,
                 label=real.label,
@@ -161,10 +169,10 @@ def comparison(compared: HeldOut, limit_mag: float) -> list[ComparedStatistic]:
                 within_limit=("yes" if abs(difference) <= real.limit else "no") if judged else "",
             )
         )
-    return out
+    return rows
 
 
-def completeness_bins(compared: HeldOut, limit_mag: float) -> list[HalfMagnitude]:
+def completeness_bins(compared: HeldOut, limit_mag: float) -> list[CompletenessBin]:
     """Detected fraction per half magnitude about the limit."""
     edges = np.arange(np.floor(2.0 * limit_mag) / 2.0 - 1.5, limit_mag + 1.01, 0.5)
 
@@ -176,13 +184,13 @@ def completeness_bins(compared: HeldOut, limit_mag: float) -> list[HalfMagnitude
         return sets[0][0], np.array([fraction for _, fraction in sets])
 
     (count, fraction_5), (_, fraction_6) = (of_sets(sigma) for sigma in THRESHOLDS_SIGMA)
-    out = []
-    for k in np.flatnonzero(count >= FEWEST_IN_BIN):
+    rows = []
+    for k in np.flatnonzero(count >= MIN_STARS_IN_BIN):
         # binomial standard deviation of a single set
         spread = [float(np.sqrt(p * (1.0 - p) / count[k])) for p in (fraction_5[:, k].mean(), fraction_6[:, k].mean())]
         real = measured([fraction_5[0, k], fraction_6[0, k]], spread, int(count[k]))
-        out.append(
-            HalfMagnitude(
+        rows.append(
+            CompletenessBin(
                 magnitude_mag=float(edges[k] + 0.25),
                 stars=int(count[k]),
                 real_5_sigma=real[0],
@@ -191,7 +199,7 @@ def completeness_bins(compared: HeldOut, limit_mag: float) -> list[HalfMagnitude
                 twin_6_sigma=_of_sets(fraction_6[1:, k], spread[1]),
             )
         )
-    return out
+    return rows
 
 
 def star_separability(night: MeasuredNight, compared: HeldOut) -> Separability | None:
@@ -207,7 +215,7 @@ def star_separability(night: MeasuredNight, compared: HeldOut) -> Separability |
     kind, frame = (np.repeat(numbers, count) for numbers in np.divmod(np.arange(2 * frames), frames))
     values = np.concatenate(features)
     good = np.isfinite(values).all(axis=1)
-    if np.bincount(kind[good], minlength=2).min() < FEWEST_WINDOWS:
+    if np.bincount(kind[good], minlength=2).min() < MIN_WINDOWS:
         return None
     return separability(values[good], kind[good], frame[good])
 

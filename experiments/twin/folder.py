@@ -28,10 +28,10 @@ _POINTING = re.compile(r"Alt([-+]?\d+(?:\.\d+)?).?Azi?([-+]?\d+(?:\.\d+)?)", re.
 class NightFrame:
     """A frame and the data of its file."""
 
-    name: str  # Of the file
-    image: SensorImage  # In steps of the converter
+    name: str  # Name of the file
+    image: SensorImage  # Image in DN
     taken: datetime | None = None  # Middle of the exposure, UTC
-    altitude_deg: float | None = None  # Of the boresight, stated by the name of the file
+    altitude_deg: float | None = None  # Altitude of the boresight, stated by the file name
 
 
 def night_frames(folder: str | Path) -> tuple[tuple[NightFrame, ...], tuple[str, ...]]:

@@ -69,7 +69,7 @@ class CameraFit:
     camera: CameraModel
     calibration: Calibration
     order: str
-    attitudes: Rotation  # Of all frames of the night, unused frames included
+    attitudes: Rotation  # Attitudes of all frames of the night, unused frames included
     noise: SkyNoise
     psf: MixturePsf
     photometry: PhotometricSolution
@@ -109,7 +109,7 @@ def gaussian_centroids(
 
 
 def psf_centroids(night: SolvedNight, camera: CameraModel, attitudes: Rotation, psf: MixturePsf) -> Centroids:
-    """As `gaussian_centroids`, positions measured with the PSF at the position and colour of the star."""
+    """Centroids as `gaussian_centroids`, measured with the PSF at the position and colour of the star."""
     axes = [np.linspace(n / 6.0, n * 5.0 / 6.0, ZONES) for n in night.size_px]
     zones = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
     bank = [psf.effective(zone, colour) for zone in zones for colour in range(4)]
@@ -158,12 +158,12 @@ class PreparedNight:
     """Data of a night that every measurement starts from: frames with measured noise, sky in blocks, first camera."""
 
     night: SolvedNight
-    camera: CameraModel  # Of `first_camera`
+    camera: CameraModel  # Camera model of `first_camera`
     attitudes: Rotation
     blocks: tuple[SkyBlocks, ...]
     hot: NDArray[np.bool_]  # (h, w)
     width_px: float  # Median width of a star
-    limit_mag: float  # About where half of the stars are detected
+    limit_mag: float  # Magnitude at which about half of the stars are detected
 
     def stars(self, number: int, camera: CameraModel, attitudes: Rotation) -> FieldStars:
         """Catalogue stars on the detector of a frame."""

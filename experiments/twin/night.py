@@ -32,8 +32,16 @@ from experiments.harness.progress import Progress
 from optics.arrays import FloatArray, IntArray
 from render.sky.sky import Sky
 
-THRESHOLD_SIGMA, FWHM_PX = 5.0, 1.7
-WINDOW_PX, BOX_PX, MARGIN_PX = 11, 64, 12.0
+THRESHOLD_SIGMA = 5.0
+"""Detection threshold of the matched filter."""
+FWHM_PX = 1.7
+"""Width of the matched filter."""
+WINDOW_PX = 11
+"""Side of the windows of centroids."""
+BOX_PX = 64
+"""Side of the boxes of the background mesh."""
+MARGIN_PX = 12.0
+"""Distance of catalogue stars from the edge, at least."""
 FIT_SHIFT_PX = 1.5
 """Distance of a Gaussian fit from the detection beyond which its flux and position are meaningless."""
 PAIR_PX = 1.5
@@ -91,12 +99,12 @@ class FrameSolution:
     image: SensorImage
     detected: Detections
     identification: Identification
-    focal_px: float  # Of the identification
+    focal_px: float  # Focal length by the identification
     seconds: float
 
     @property
     def attitude(self) -> Rotation | None:
-        """cam from icrs; None where no stars were identified."""
+        """Camera from ICRS; None where no stars were identified."""
         solution = self.identification.attitude
         return solution.rotation if self.identification.ok and solution is not None else None
 
@@ -158,7 +166,7 @@ class IdentifiedFrame:
     name: str
     image: SensorImage
     detected: Detections
-    zenith: FloatArray | None  # (3,) In icrs; None: unknown
+    zenith: FloatArray | None  # (3,) Direction of the zenith, ICRS; None: unknown
     rows: IntArray  # (m,) Stars of the sky
     direction: FloatArray  # (m, 3) Apparent, refraction included
     taken: datetime | None = None
@@ -206,13 +214,13 @@ def stars_about(sky: Sky, attitude: Rotation, camera: CameraModel) -> IntArray:
 class FieldStars:
     """Catalogue stars on the detector of a frame, the brightest first."""
 
-    row: IntArray  # (n,) Of the sky
-    direction: FloatArray  # (n, 3) In cam
+    row: IntArray  # (n,) Rows of the sky's stars
+    direction: FloatArray  # (n, 3) Unit vectors, camera frame
     position_px: FloatArray  # (n, 2)
     magnitude: FloatArray  # (n,)
     temperature_k: FloatArray  # (n,)
     airmass: FloatArray  # (n,) NaN: zenith unknown
-    u2: FloatArray  # (n,) Squared distance from the middle over half of the diagonal
+    u2: FloatArray  # (n,) Squared distance from the centre over half of the diagonal: 1 in the corner
 
     def __len__(self) -> int:
         return len(self.row)
@@ -230,14 +238,14 @@ class FieldStars:
 
 def field_stars(frame: IdentifiedFrame, sky: Sky, camera: CameraModel, attitude: Rotation) -> FieldStars:
     """Catalogue stars and their positions in a frame."""
-    v_cam = attitude.apply(frame.direction)
-    visible = np.flatnonzero(camera.visible(v_cam, margin_px=MARGIN_PX))
+    direction_cam = attitude.apply(frame.direction)
+    visible = np.flatnonzero(camera.visible(direction_cam, margin_px=MARGIN_PX))
     visible = visible[np.argsort(sky.magnitude[frame.rows[visible]], kind="stable")]
-    rows, v_cam, apparent = frame.rows[visible], v_cam[visible], frame.direction[visible]
-    position, geometry = camera.project(v_cam), camera.geometry
+    rows, direction_cam, apparent = frame.rows[visible], direction_cam[visible], frame.direction[visible]
+    position, geometry = camera.project(direction_cam), camera.geometry
     return FieldStars(
         row=rows,
-        direction=v_cam,
+        direction=direction_cam,
         position_px=position,
         magnitude=np.array(sky.magnitude[rows]),
         temperature_k=np.array(sky.temperature_k[rows]),

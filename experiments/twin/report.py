@@ -33,11 +33,11 @@ from experiments.twin.comparison_results import (
     FALSE_ALARM,
     FALSE_LIMIT_SIGMA,
     ComparedStatistic,
+    CompletenessBin,
     DetectionNumbers,
     Feature,
     FrameNumbers,
-    HalfMagnitude,
-    comparison,
+    compare_statistics,
     completeness_bins,
     detection_numbers,
     frame_numbers,
@@ -64,7 +64,7 @@ class TwinProducts:
     name: str
     twin: Twin
     limit_mag: float
-    real: tuple[FloatArray, ...]  # (h, w) As read
+    real: tuple[FloatArray, ...]  # (h, w) Frames as read
     rendered: tuple[FloatArray, ...]
     notes: tuple[str, ...]
     prescription: str = ""
@@ -101,7 +101,7 @@ def records(
         "photon_transfer": transfer_points(night.fit.noise),
         "colour_term": colour_points(night.fit.photometry, twin.response_mag),
         "residuals": residual_terms(night.fit, compared, limit_mag),
-        "comparison": comparison(compared, limit_mag),
+        "comparison": compare_statistics(compared, limit_mag),
         "completeness": completeness_bins(compared, limit_mag),
         "detections": detection_numbers(compared, roc),
         "features": features and [Feature(name=name, effect_sigma=float(effect)) for name, effect in features],
@@ -213,7 +213,7 @@ SECTIONS: dict[str, Section] = {
         verdicts=[_verdict(judge_statistics, "difference", "allowed")],
     ),
     "completeness": Section(
-        record=HalfMagnitude,
+        record=CompletenessBin,
         dim="bin",
         along="magnitude_mag",
         caption="Fraction of the catalogue stars detected, per half magnitude.",
