@@ -23,7 +23,7 @@ from calib.cameras.fit import fit_camera
 from calib.measure.reduced_frame import FrameReduction, MeasuredFrame, measure_frame
 from experiments.camera.comparison import Rendered, SkyFrames, StarGridFrames, compare_noise
 from experiments.camera.manufacture import RANKS, Manufactured, RenderedLens
-from experiments.camera.operation import moving
+from experiments.camera.operation import slewing_config
 from experiments.camera.settings import CameraReportConfig
 from experiments.harness.summary import Measured
 from experiments.harness.system import processors, shared
@@ -205,7 +205,7 @@ def _render_slewing_grid(
     if not config.motion.points or config.slew.rate_deg_per_s or config.instrument.line_time_us:
         return None
     try:
-        slewing = predict_camera(moving(config, SLEW_FRACTION))
+        slewing = predict_camera(slewing_config(config, SLEW_FRACTION))
     except StarbenchError:
         return None
     return slewing, _render_star_grid(_FrameChain(slewing, long_side=COARSE_PSF_GRID, dark_dn=dark_dn), advance)

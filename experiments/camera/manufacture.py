@@ -1,4 +1,4 @@
-"""Manufactured lenses: drawn within the tolerances, refocused, and traced.
+"""Manufactured lenses: sampled within the tolerances, refocused, and traced.
 
 Spots, light and distortion of every lens follow by rays. Its noise-equivalent angle is the nominal sensor's times the
 ratio of two predictions, of this lens and of the nominal one, from spots by rays blurred by diffraction as a Gaussian
@@ -39,17 +39,17 @@ from render.sensor_file.file import ManufactureConfig
 GRID = (7, 5)
 """Field points, columns x rows, within `GRID_FRACTION` of the half sides of the detector."""
 GRID_FRACTION = 0.95
+"""Outermost field points, in half sides of the detector."""
 NEA_POINTS = (8, 12, 22, 26)
 """Field points near the Gauss points of the quadrants, whose mean is that over the detector."""
 PERCENTILES = (50, 90, 95, 99)
+"""Fractions of the lenses in the table of errors."""
 LABELS = {
     "nea": "NEA",
     "attitude_cross": "Attitude across, median",
     "lsfe_before": "Distortion, not calibrated",
     "lsfe_after": "Distortion, calibrated",
 }
-JUDGED = ("nea_arcsec", "attitude_cross_arcsec", "lsfe_before_arcsec", "lsfe_after_arcsec", "spot_px")
-"""Requirements on a manufactured lens; those of the sensor file count for the yield."""
 RANKS = (0.1, 0.5, 0.9)
 """Ranks of the rendered lenses in the order of their NEA."""
 OFFENDERS = 8
@@ -151,7 +151,7 @@ def tolerances_of(config: ManufactureConfig) -> Tolerances:
 def manufactured(
     prediction: CameraPrediction, limits: dict[str, tuple[float, bool]], *, advance: Callable[[], None] = lambda: None
 ) -> Manufactured:
-    """Draw lenses and trace them.
+    """Sample lenses and trace them.
 
     Raises
     ------
@@ -159,15 +159,18 @@ def manufactured(
         If fewer than two lenses have an image.
     """
     config: CameraReportConfig = prediction.config
-    setting, lens = config.manufacture, prediction.state.sensor.camera.focused_lens
+    setting = config.manufacture
+    lens = prediction.state.sensor.camera.focused_lens
     lens.check_surfaces()
-    probe, moves = _Probe(prediction, refocused=setting.refocused), perturbations(lens, tolerances_of(setting))
+    probe = _Probe(prediction, refocused=setting.refocused)
+    moves = perturbations(lens, tolerances_of(setting))
     rng = Streams(config.seed).generator("manufacture")
     traced: list[tuple[LensSystem, PolychromaticSpots]] = []
+    # the last amount is the residual defocus
     for amounts in draw_amounts(rng, setting.lenses, len(moves) + 1, uniform=setting.distribution == "uniform"):
         try:
-            drawn = perturbed(lens, moves, amounts[:-1])
-            traced.append((drawn, probe.trace(drawn, shift_mm=float(amounts[-1]) * setting.focus_um * UM_MM)))
+            sampled = perturbed(lens, moves, amounts[:-1])
+            traced.append((sampled, probe.trace(sampled, shift_mm=float(amounts[-1]) * setting.focus_um * UM_MM)))
         except (ConvergenceError, DomainError):
             pass
         advance()
@@ -177,27 +180,28 @@ def manufactured(
         )
     spots = [lens_spots for _, lens_spots in traced]
     ratio = np.array([probe.nea_px(images) for images in spots]) / probe.nea_px(probe.nominal)
-    noise, total = prediction.value("attitude_cross_noise_arcsec"), prediction.value("attitude_cross_arcsec")
-    errors = np.stack(
-        [
-            prediction.value("nea_arcsec") * ratio,
-            with_noise_scaled(total, noise, ratio),
-            [probe.map_change(images, probe.nominal) for images in spots],
-            [probe.calibrated(images) for images in spots],
-            [probe.spot_px(images) for images in spots],
-        ]
-    )
-    met = [values <= limits[name][0] for name, values in zip(JUDGED, errors, strict=True) if name in limits]
+    nominal_nea_arcsec = prediction.value("nea_arcsec")
+    noise_arcsec = prediction.value("attitude_cross_noise_arcsec")
+    total_arcsec = prediction.value("attitude_cross_arcsec")
+    lsfe_before_arcsec = np.array([probe.map_change(images, probe.nominal) for images in spots])
+    spot_px = np.array([probe.spot_px(images) for images in spots])
+    errors_arcsec = {  # in the order of `LABELS`
+        "nea_arcsec": nominal_nea_arcsec * ratio,
+        "attitude_cross_arcsec": np.asarray(with_noise_scaled(total_arcsec, noise_arcsec, ratio)),
+        "lsfe_before_arcsec": lsfe_before_arcsec,
+        "lsfe_after_arcsec": np.array([probe.calibrated(images) for images in spots]),
+    }
+    met = [values <= limits[key][0] for key, values in (errors_arcsec | {"spot_px": spot_px}).items() if key in limits]
     by_noise = np.argsort(ratio)
     ranked = by_noise[np.rint(np.array(RANKS) * (len(traced) - 1)).astype(int)]
     return Manufactured(
         lenses=len(traced),
         failed_lenses=setting.lenses - len(traced),
         yield_fraction=float(np.all([np.ones(len(traced), bool), *met], axis=0).sum() / setting.lenses),
-        error_arcsec=np.percentile(errors[:4], PERCENTILES, axis=1).T,
-        nominal_arcsec=np.array([prediction.value("nea_arcsec"), total, 0.0, probe.calibrated(probe.nominal)]),
-        spot_px=np.percentile(errors[4], PERCENTILES),
-        distortion_rms_arcsec=float(np.sqrt((errors[2] ** 2).mean())),
+        error_arcsec=np.percentile(list(errors_arcsec.values()), PERCENTILES, axis=1).T,
+        nominal_arcsec=np.array([nominal_nea_arcsec, total_arcsec, 0.0, probe.calibrated(probe.nominal)]),
+        spot_px=np.percentile(spot_px, PERCENTILES),
+        distortion_rms_arcsec=float(np.sqrt((lsfe_before_arcsec**2).mean())),
         ranked=tuple((_at_detector(*traced[k]), float(ratio[k])) for k in ranked),
         **_offenders(probe, lens, moves),
     )
@@ -206,14 +210,18 @@ def manufactured(
 def _offenders(probe: _Probe, lens: LensSystem, moves: dict[str, Any]) -> dict[str, Any]:
     """Sensitivities to all tolerances by central differences; the largest listed."""
     reference = probe.trace(lens)
-    ends = [[probe.trace(move(lens, sign)) for sign in (1.0, -1.0)] for move in moves.values()]
-    single = np.array([0.5 * probe.map_change(up, down) for up, down in ends])
-    growth = np.array([(0.5 * (up.square_mm2 + down.square_mm2) - reference.square_mm2).mean() for up, down in ends])
-    order = np.argsort(-growth / growth.max(initial=1e-36) - single / single.max(initial=1e-30))[:OFFENDERS]
+    pairs = [[probe.trace(move(lens, sign)) for sign in (1.0, -1.0)] for move in moves.values()]
+    distortion_arcsec = np.array([0.5 * probe.map_change(plus, minus) for plus, minus in pairs])
+    growth_mm2 = np.array(
+        [(0.5 * (plus.square_mm2 + minus.square_mm2) - reference.square_mm2).mean() for plus, minus in pairs]
+    )
+    # by the sum of both effects, each relative to its largest
+    relative = growth_mm2 / growth_mm2.max(initial=1e-36) + distortion_arcsec / distortion_arcsec.max(initial=1e-30)
+    order = np.argsort(-relative)[:OFFENDERS]
     return {
-        "distortion_rss_arcsec": float(np.sqrt((single**2).sum())),
-        "offender_distortion_arcsec": single[order],
-        "offender_spot_um2": growth[order] * 1e6,
+        "distortion_rss_arcsec": float(np.sqrt((distortion_arcsec**2).sum())),
+        "offender_distortion_arcsec": distortion_arcsec[order],
+        "offender_spot_um2": growth_mm2[order] * 1e6,
         "offenders": tuple(np.array(list(moves), dtype=object)[order]),
     }
 
@@ -221,8 +229,8 @@ def _offenders(probe: _Probe, lens: LensSystem, moves: dict[str, Any]) -> dict[s
 def yield_line(result: Manufactured) -> str:
     """Line on the yield for the terminal."""
     nea_arcsec = result.error_arcsec[0, PERCENTILES.index(95)]
-    drawn = result.lenses + result.failed_lenses
-    met = f"{100.0 * result.yield_fraction:.3g} % of {drawn} lenses meet their requirements"
+    sampled = result.lenses + result.failed_lenses
+    met = f"{100.0 * result.yield_fraction:.3g} % of {sampled} lenses meet their requirements"
     return f"{'Yield':<19} {met}; NEA of 95 %: {nea_arcsec:.3g}\u2033"
 
 
@@ -247,8 +255,8 @@ MANUFACTURED = Section(
 )
 RENDERED_LENSES = Section(
     record=RenderedLens,
-    dim="drawn",
-    rows="drawn",
-    hidden="drawn",
-    caption="Three manufactured lenses in rendered frames: NEA of the chart's stars, one axis, 1σ.",
+    dim="rank",
+    rows="rank",
+    hidden="rank",
+    caption="Three manufactured lenses in rendered frames: NEA of artificial stars, one axis, 1σ.",
 )

@@ -37,7 +37,9 @@ from optics.errors import StarbenchError
 from render.sensor_file.ageing import aged_transmission
 
 AGES = 5
+"""Ages of the curves over life."""
 RATE = "slew_rate_deg_per_s"
+"""Requirement that is met or missed by motion alone."""
 _CURVES = (
     "nea_arcsec",
     "limiting_magnitude_mag",
@@ -69,7 +71,7 @@ def _predicted(config: CameraReportConfig) -> Numbers | None:
         return None
 
 
-def moving(config: CameraReportConfig, fraction: float = 1.0) -> CameraReportConfig:
+def slewing_config(config: CameraReportConfig, fraction: float = 1.0) -> CameraReportConfig:
     """The sensor at a fraction of the slew rate at which the trail of a star fills its window."""
     at_rest = optical_state(with_value(config, "slew.rate_deg_per_s", 0.0))
     trail_px, _, _ = longest_trail_px(config, at_rest)
@@ -85,7 +87,7 @@ def _at_rate(config: CameraReportConfig, rate_deg_per_s: float) -> CameraReportC
 def _first_missed(
     config_at: Callable[[float], CameraReportConfig], limits: Limits, inside: float, outside: float
 ) -> tuple[float, str]:
-    """Value between ``inside``, which meets all requirements, and ``outside`` at which the first is missed; its key.
+    """Value between ``inside``, which meets all requirements, and ``outside`` where the first is missed; its key.
 
     Infinite where ``outside`` meets them too.
     """
@@ -134,23 +136,24 @@ def in_motion(prediction: CameraPrediction, limits: Limits) -> SlewPrediction | 
         return None
 
     pixel_deg = prediction.state.pixel_arcsec / 3600.0
-    fastest = moving(config).slew.rate_deg_per_s
+    fastest = slewing_config(config).slew.rate_deg_per_s
     rates = np.linspace(0.0, setting.fastest_deg_per_s or fastest, setting.points)
     predictions = shared(_predicted, [_at_rate(config, rate) for rate in rates])
     # without a requirement on it, the attitude has to exist in half of the sky
     required = {"attitude_cross_arcsec": (1e9, False)} | {key: limit for key, limit in limits.items() if key != RATE}
     rest = next((numbers for numbers in predictions if numbers is not None), None)
-    largest, failure = 0.0, "at rest"
+    largest_rate = 0.0
+    failure = "at rest"
     if rest is not None:  # a requirement that is missed at rest is not missed by motion
         met_at_rest = {verdict.key: required[verdict.key] for verdict in _judged(rest, required) if verdict.met}
-        largest, failure = _first_missed(partial(_at_rate, config), met_at_rest, 0.0, fastest)
-        if not math.isfinite(largest):
-            largest, failure = fastest, "window_px"
+        largest_rate, failure = _first_missed(partial(_at_rate, config), met_at_rest, 0.0, fastest)
+        if not math.isfinite(largest_rate):
+            largest_rate, failure = fastest, "window_px"
     period_s = config.timing.period_s(exposure_s)
     return SlewPrediction(
         **_curves(predictions),
         trail_px=np.radians(rates) * exposure_s / np.radians(pixel_deg),
-        slew_rate_deg_per_s=largest,
+        slew_rate_deg_per_s=largest_rate,
         first_failure=failure,
         acceleration_deg_per_s2=(config.window_px // 2) * pixel_deg / period_s**2,
         acceleration_bias_s2=exposure_s**2 / 24.0,
@@ -220,14 +223,17 @@ def over_life(prediction: CameraPrediction, limits: Limits) -> LifePrediction | 
             lifetime, failure = 0.0, min(missed, key=lambda requirement: requirement.excess).key
         else:
             lifetime, failure = _first_missed(partial(aged_config, config), limits, 0.0, 1.0)
-    chips = [overridden_detector(aged) for aged in configs]
-    dark_time_s = chips[0].dark_factor(config.instrument.chip_temperature_c) * config.instrument.exposure_s
-    dark = [chip.dark_current_e_per_s + chip.damage_centres_per_px * chip.damage_dark_e_per_s for chip in chips]
+    detectors = [overridden_detector(aged) for aged in configs]
+    dark_time_s = detectors[0].dark_factor(config.instrument.chip_temperature_c) * config.instrument.exposure_s
+    dark_e_per_s = [
+        detector.dark_current_e_per_s + detector.damage_centres_per_px * detector.damage_dark_e_per_s
+        for detector in detectors
+    ]
     return LifePrediction(
         **_curves(predictions, (*_CURVES, "false_alarms_per_frame")),
         transmission=np.array([aged_transmission(config.life, float(fraction)) for fraction in fractions]),
-        dark_e=dark_time_s * np.array(dark),
-        damaged_percent=100.0 * -np.expm1(-np.array([chip.damage_centres_per_px for chip in chips])),
+        dark_e=dark_time_s * np.array(dark_e_per_s),
+        damaged_percent=100.0 * -np.expm1(-np.array([detector.damage_centres_per_px for detector in detectors])),
         requirements_missed_at_end=sum(not verdict.met for verdict in at_end) if at_end else len(limits),
         requirements_at_end=len(at_end) or len(limits),
         lifetime_years=lifetime * config.life.years,

@@ -265,9 +265,11 @@ def _switched(
     onboard_velocity = camera.flight.known_velocity_km_per_s(at_s)
     true_velocity = camera.flight.velocity_km_per_s(at_s)
 
-    def error_arcsec(image: Frame, velocity_km_per_s: FloatArray) -> FloatArray:
+    def error_arcsec(image: Frame, velocity_km_per_s: FloatArray | None) -> FloatArray:
         tracked = tracker(image, at_s, velocity_km_per_s=velocity_km_per_s, near=first.attitude)
-        return np.full(3, np.nan) if tracked.attitude is None else attitude_error_arcsec(tracked.attitude, truth)
+        if tracked.attitude is None:
+            return np.full(3, np.nan)
+        return np.asarray(attitude_error_arcsec(tracked.attitude, truth))
 
     error = error_arcsec(frame, onboard_velocity)
     thermal = error - error_arcsec(calibrated_frame, onboard_velocity)

@@ -83,7 +83,7 @@ def heated(config: FlightConfig, state_k: FloatArray) -> LensSystem:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StarErrors:
+class GuideStarErrors:
     """Centroid errors of n guide stars on the detector; standard deviations per axis."""
 
     noise_px: FloatArray  # (n,) Temporal noise
@@ -308,7 +308,7 @@ class Budget:
 
     def star_errors(
         self, background_e_per_s: float, rate_rad_per_s: FloatArray, rows: NDArray[np.int64], v: FloatArray
-    ) -> StarErrors:
+    ) -> GuideStarErrors:
         """Centroid errors of guide stars, rows of `guides`, in directions ``v`` (n, 3) of the camera frame."""
         camera = self.camera(background_e_per_s, rate_rad_per_s)
         offset_px = self._offset_px(v)
@@ -319,7 +319,7 @@ class Budget:
         star = camera.stars
         effective_e = star.effective(electrons, temperature_k, radius_px)
         colour_px, colour_phase_px = self.colour_px(temperature_k, radius_px)
-        return StarErrors(
+        return GuideStarErrors(
             noise_px=star.sigma_at(star.centroid.noise_px, effective_e, radius_px),
             pattern_px=star.sigma_at(star.centroid.pattern_px, electrons, radius_px),
             phase_px=star.sigma_at(star.centroid.phase_px, electrons, radius_px),

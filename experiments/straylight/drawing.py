@@ -48,7 +48,7 @@ def draw_causes(outcome: Outcome) -> Figure:
         panel.plot(pst.angle_deg, np.maximum(pst.total[z], bottom * 1e-3), color=INK, linewidth=1.6, label="total")
         if np.isfinite(sensor.shade_deg):
             panel.axvline(sensor.shade_deg, color="0.6", linewidth=0.8, dashes=(4, 3))
-        panel.set(xscale="log", yscale="log", xlabel="PstAngle of the source [°]", ylim=(bottom, 3.0 * top))
+        panel.set(xscale="log", yscale="log", xlabel="Angle of the source [°]", ylim=(bottom, 3.0 * top))
         panel.set_title(f"azimuth {pst.azimuth_deg[z]:g}°", fontsize=9)
         if z == count - 1:
             electrons = panel.secondary_yaxis("right", functions=(lambda v: v * scale, lambda v: v / scale))

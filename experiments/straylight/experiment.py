@@ -40,6 +40,16 @@ LABELS = {
     "walls": "Walls and vanes",
     "edges": "Vane edges",
 }
+FAINTEST_E = 2.0
+"""Stray light at the largest angle of the Sun."""
+BISECTIONS = 3
+"""Additional Sun angles between the largest unusable and the smallest usable angle."""
+MIN_CRITICAL_E = 1e-3
+"""Floor of the stray light in geometric means."""
+LIMB_STEP_DEG = 0.5
+"""Resolution of the exclusion angle of the Earth's limb."""
+NO_VANES_SHADE_DEG = 35.0
+"""Shade angle of the variants for a sensor without vanes."""
 LIMB_DEG = (0.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0, 75.0, 90.0)
 
 
@@ -83,7 +93,7 @@ class BaffledSensor:
 class PstAngle:
     """Transmittance at an angle of the source."""
 
-    angle_deg: float = col("PstAngle of the source", "deg", "g")
+    angle_deg: float = col("Angle of the source", "deg", "g")
     sunlit_fraction: float = col("Sunlit fraction of the entrance", format=".3f", shown=False)
     by_cause: FloatArray = col("PST by cause", format=".2e", dims="cause azimuth", shown=False)
     total: Sequence[Measured] = col("PST", format=".2e", dims="azimuth")
@@ -92,7 +102,7 @@ class PstAngle:
     azimuth_deg: FloatArray
 
 
-def by_angle(stray: SensorTransmittance, light: BandLight, exposure_s: float) -> list[PstAngle]:
+def tabulate_pst(stray: SensorTransmittance, light: BandLight, exposure_s: float) -> list[PstAngle]:
     """PST by angle, and electrons per pixel from Sun and Moon."""
     pst = stray.pst
     value, error = pst.total, pst.total_error
@@ -119,11 +129,11 @@ def by_angle(stray: SensorTransmittance, light: BandLight, exposure_s: float) ->
 class EarthLimb:
     """Stray light of the fully lit Earth, its limb at an angle from the boresight."""
 
-    limb_deg: float = col("EarthLimb", "deg", "g")
+    limb_deg: float = col("Limb", "deg", "g")
     earth_e: float = col("Earth", "e-", ".3g")
 
 
-def limb(
+def limb_background(
     config: StraylightConfig, pst: PointSourceTransmittance, light: BandLight, angles: Sequence[float]
 ) -> list[EarthLimb]:
     """Electrons per pixel from the Earth at the altitude of the sensor."""
@@ -158,7 +168,7 @@ def _mean(values: Any) -> Measured:
     return Measured(value=float(sample.mean()), uncertainty=error, n=len(sample))
 
 
-def at_sun(
+def measure_sun_angle(
     config: StraylightConfig,
     fields: SunFields,
     stray: SensorTransmittance,
@@ -170,14 +180,14 @@ def at_sun(
     light = scale_e * stray.over_pixels(angle, fields.instrument.detector.shape)
     frames = fields.observe(light, "sky", dark)
     added_false = float(frames.false.mean() - dark.false.mean())
-    full = fields.instrument.detector.full_well_e
+    full_well_e = fields.instrument.detector.full_well_e
     return SunAngle(
         sun_deg=angle,
         stray_light_e=float(light.mean()),
         stars_per_frame=_mean(frames.stars),
         lost_percent=_mean(100.0 * frames.lost_fraction),
         false_per_frame=_mean(frames.false),
-        saturated_percent=float(100.0 * (light >= full).mean()),
+        saturated_percent=float(100.0 * (light >= full_well_e).mean()),
         centroid_error_px=rms(frames.error_px),
         solved_percent=float(100.0 * frames.solved.mean()),
         attitude_cross_arcsec=rms(frames.error_arcsec[:, :2].ravel()),
@@ -204,7 +214,7 @@ class Exclusion:
     bounded: bool
 
 
-def exclusion(
+def find_exclusion(
     config: StraylightConfig,
     stray: SensorTransmittance,
     light: BandLight,
@@ -216,33 +226,33 @@ def exclusion(
     unusable_rows = [k for k, row in enumerate(rows) if not row.usable]
     bounded = bool(unusable_rows) and unusable_rows[-1] < len(rows) - 1
     if bounded:
-        inner, outer = rows[unusable_rows[-1]], rows[unusable_rows[-1] + 1]
+        unusable, usable = rows[unusable_rows[-1]], rows[unusable_rows[-1] + 1]
         for _ in range(BISECTIONS):
-            rows.append(middle := observe(math.sqrt(inner.sun_deg * outer.sun_deg)))
-            inner, outer = (inner, middle) if middle.usable else (middle, outer)
-        critical = math.sqrt(max(inner.stray_light_e, 1e-3) * max(outer.stray_light_e, 1e-3))
-        angle, usable, unusable = 0.5 * (inner.sun_deg + outer.sun_deg), outer.sun_deg, inner.sun_deg
-    elif unusable_rows:
-        critical, angle, usable, unusable = min(row.stray_light_e for row in rows), 180.0, math.nan, rows[-1].sun_deg
-    else:
-        critical, angle, usable, unusable = max(row.stray_light_e for row in rows), 0.0, rows[0].sun_deg, 0.0
-    earth = limb(config, stray.pst, light, [0.5 * k for k in range(181)])
+            rows.append(middle := observe(math.sqrt(unusable.sun_deg * usable.sun_deg)))
+            unusable, usable = (unusable, middle) if middle.usable else (middle, usable)
+        critical_e = math.sqrt(max(unusable.stray_light_e, MIN_CRITICAL_E) * max(usable.stray_light_e, MIN_CRITICAL_E))
+        exclusion_deg = 0.5 * (unusable.sun_deg + usable.sun_deg)
+        usable_deg, unusable_deg = usable.sun_deg, unusable.sun_deg
+    elif unusable_rows:  # no angle is usable
+        critical_e = min(row.stray_light_e for row in rows)
+        exclusion_deg = 180.0
+        usable_deg, unusable_deg = math.nan, rows[-1].sun_deg
+    else:  # every angle is usable
+        critical_e = max(row.stray_light_e for row in rows)
+        exclusion_deg = 0.0
+        usable_deg, unusable_deg = rows[0].sun_deg, 0.0
+    critical_moon_pst = critical_e / (light.full_moon_e_per_s * config.instrument.exposure_s)
+    limb_deg = np.arange(0.0, 90.0 + LIMB_STEP_DEG, LIMB_STEP_DEG).tolist()
+    earth = limb_background(config, stray.pst, light, limb_deg)
     return Exclusion(
-        sun_exclusion_deg=angle,
-        moon_exclusion_deg=float(
-            stray.pst.last_angle_deg(critical / (light.full_moon_e_per_s * config.instrument.exposure_s))
-        ),
-        earth_exclusion_deg=max((row.limb_deg for row in earth if row.earth_e > critical), default=0.0),
-        critical_stray_light_e=critical,
-        nearest_usable_deg=usable,
-        farthest_unusable_deg=unusable,
+        sun_exclusion_deg=exclusion_deg,
+        moon_exclusion_deg=float(stray.pst.last_angle_deg(critical_moon_pst)),
+        earth_exclusion_deg=max((row.limb_deg for row in earth if row.earth_e > critical_e), default=0.0),
+        critical_stray_light_e=critical_e,
+        nearest_usable_deg=usable_deg,
+        farthest_unusable_deg=unusable_deg,
         bounded=bounded,
     ), sorted(rows, key=lambda row: row.sun_deg)
-
-
-FAINTEST_E = 2.0
-"""Stray light at the largest angle of the Sun."""
-BISECTIONS = 3
 
 
 # --- What if
@@ -263,7 +273,7 @@ MARGIN_DEG = 7.0
 """Variants are computed from this margin inside the shade angle on."""
 
 
-def changes(
+def compare_variants(
     config: StraylightConfig, stray: SensorTransmittance, light: BandLight, critical: float, advance: Callable[[], None]
 ) -> list[BaffleVariant]:
     """Variants of dust, coating and vanes; exclusion angles at the critical stray light."""
@@ -271,9 +281,10 @@ def changes(
     angles = np.array(config.pst.angles_deg)
     scale = light.sun_e_per_s * config.instrument.exposure_s
     tube = None if stray.scene is None else stray.scene.baffle
-    shade = 35.0 if tube is None else tube.shade_deg
-    chosen = [int(a) for a in np.flatnonzero(angles >= shade - MARGIN_DEG)]
-    stated, rows = config.baffle, []
+    shade_deg = NO_VANES_SHADE_DEG if tube is None else tube.shade_deg
+    chosen = [int(a) for a in np.flatnonzero(angles >= shade_deg - MARGIN_DEG)]
+    stated = config.baffle
+    rows: list[BaffleVariant] = []
     variants: list[tuple[str, Any, str]] = [("as it is", stated, "dust")]
     variants += [
         (f"dust of level {key.split()[1]}", stated, key) for key in stray.lens.value if key.startswith("dust ")
@@ -290,7 +301,7 @@ def changes(
     for label, baffle, dust in variants:
         unchanged = baffle is stated and dust == "dust"
         pst = stray.pst if unchanged else behind_baffle(config, stray.lens, baffle, dust=dust, chosen=chosen).pst
-        outside, inside = pst.at(polar_direction([min(shade + 5.0, 89.0), shade - 5.0])).tolist()
+        outside, inside = pst.at(polar_direction([min(shade_deg + 5.0, 89.0), shade_deg - 5.0])).tolist()
         rows.append(
             BaffleVariant(
                 change=label,
@@ -324,24 +335,24 @@ def run(config: StraylightConfig, *, progress: Progress) -> dict[str, Any]:
     angles = stray.pst.angles_by_value(config.frames.levels, FAINTEST_E / scale, full_e / scale)
 
     def observe(angle: float) -> SunAngle:
-        return at_sun(config, fields, stray, scale, angle, dark)
+        return measure_sun_angle(config, fields, stray, scale, angle, dark)
 
     rows = []
     with progress.stage("frames", total=len(angles) + BISECTIONS) as stage:
         for angle in angles:
             rows.append(observe(angle))
             stage.advance()
-        excluded, rows = exclusion(config, stray, light, rows, observe)
+        excluded, rows = find_exclusion(config, stray, light, rows, observe)
     variants = None
     if config.what_if and stray.lens is not None:
         with progress.stage("what if", total=9) as stage:
-            variants = changes(config, stray, light, excluded.critical_stray_light_e, stage.advance)
+            variants = compare_variants(config, stray, light, excluded.critical_stray_light_e, stage.advance)
     required = judge(limits(config), numbers_of(excluded))
     return {
         "sensor": _baffled_sensor(config, instrument, stray, scale),
         "requirements": required or None,
-        "pst": by_angle(stray, light, config.instrument.exposure_s),
-        "limb": limb(config, stray.pst, light, LIMB_DEG),
+        "pst": tabulate_pst(stray, light, config.instrument.exposure_s),
+        "limb": limb_background(config, stray.pst, light, LIMB_DEG),
         "frames": rows,
         "exclusion": excluded,
         "changes": variants,

@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,23 +33,39 @@ from render.simulator import SkySimulator
 from render.sky.sky import load_sky
 
 MATCH_PX = 2.0
-ATTITUDE_ERROR_PX = 5.0
-"""Standard deviation per axis of the approximate attitude."""
+"""Match radius of detections and stars."""
+PRIOR_SIGMA_PX = 5.0
+"""Standard deviation per axis of the a-priori attitude."""
 STAR_K = 5800.0
+"""Temperature of the star of the calibrated PSFs and of the camera model."""
+PSF_GRID = 7
+"""PSFs along the longer side of the detector."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SunFrames:
     """Measurements at m attitudes under the same stray light."""
 
-    stars: NDArray[np.int64]  # (m,) Detected stars
-    false: NDArray[np.int64]  # (m,) False detections
+    stars: NDArray[np.int64]  # (m,) Number of detected stars
+    false: NDArray[np.int64]  # (m,) Number of false detections
     lost_fraction: FloatArray  # (m,) Fraction lost of the stars detected without the Sun
     error_px: FloatArray  # (k,) Centroid minus photocentre, per axis, of stars with a valid fit
     solved: NDArray[np.bool_]  # (m,)
-    error_arcsec: FloatArray  # (m, 3) Attitude; NaN: not solved
+    error_arcsec: FloatArray  # (m, 3) Attitude error; NaN: not solved
     detected: tuple[NDArray[np.bool_], ...]  # For each attitude, whether each star is detected
-    example_e: NDArray[np.float32]  # First frame
+    example_e: NDArray[np.float32]  # (h, w) First frame, electrons above the mean dark frame
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _MeasuredField:
+    """Measurements at one attitude; fields as `SunFrames`."""
+
+    detected: NDArray[np.bool_]
+    false: int
+    lost_fraction: float
+    error_px: FloatArray
+    error_arcsec: FloatArray
+    image_e: NDArray[np.float32]
 
 
 class SunFields:
@@ -84,7 +99,7 @@ class SunFields:
                 self.simulator.light,
                 temperature_k=STAR_K,
                 window_px=config.window_px,
-                axes=inset_axes(instrument.camera, 7),
+                axes=inset_axes(instrument.camera, PSF_GRID),
             )
         self.reduction = FrameReduction(
             dark_dn=mean_dark_frame(instrument, config.dark_frames, streams=streams, label="dark"),
@@ -95,7 +110,7 @@ class SunFields:
             psfs=psfs,
         )
         self.model = fit_camera(instrument.pixel_map(band, temperature_k=STAR_K)).camera
-        sigma_rad = ATTITUDE_ERROR_PX * math.radians(instrument.pixel_arcsec / 3600.0)
+        sigma_rad = PRIOR_SIGMA_PX * math.radians(instrument.pixel_arcsec / 3600.0)
         self.fields: list[tuple[SkyLight, Rotation]] = []
         for number, truth in enumerate(Rotation.random(config.frames.attitudes, rng=streams.generator("attitudes"))):
             error = Rotation.from_rotvec(sigma_rad * streams.generator("rough", number).standard_normal(3))
@@ -104,42 +119,48 @@ class SunFields:
 
     def observe(self, stray_light_e: FloatArray | float, label: str, dark: SunFrames | None = None) -> SunFrames:
         """Frames of all attitudes with added light [e-], measured; ``dark``: frames without it."""
-        rows = [self._observe(number, stray_light_e, label, dark) for number in range(len(self.fields))]
-        detected, false, lost, centroid, error, example = zip(*rows, strict=True)
-        error_arcsec = np.array(error)
+        fields = [self._observe(number, stray_light_e, label, dark) for number in range(len(self.fields))]
+        error_arcsec = np.array([field.error_arcsec for field in fields])
         return SunFrames(
-            stars=np.array([int(stars.sum()) for stars in detected], np.int64),
-            false=np.array(false, np.int64),
-            lost_fraction=np.array(lost),
-            error_px=np.concatenate(centroid),
+            stars=np.array([int(field.detected.sum()) for field in fields], np.int64),
+            false=np.array([field.false for field in fields], np.int64),
+            lost_fraction=np.array([field.lost_fraction for field in fields]),
+            error_px=np.concatenate([field.error_px for field in fields]),
             solved=np.isfinite(error_arcsec).all(axis=1),
             error_arcsec=error_arcsec,
-            detected=detected,
-            example_e=example[0],
+            detected=tuple(field.detected for field in fields),
+            example_e=fields[0].image_e,
         )
 
     def _observe(
         self, number: int, stray_light_e: FloatArray | float, label: str, dark: SunFrames | None
-    ) -> tuple[Any, ...]:
-        """An attitude: detected stars, false detections, fraction lost, errors of centroids and attitude, frame."""
-        light, rough = self.fields[number]
+    ) -> _MeasuredField:
+        """Read out and measure the field of an attitude."""
+        light, prior = self.fields[number]
         position_px = np.column_stack([light.truth.photon_x_px[:, 0], light.truth.photon_y_px[:, 0]])
         frame = self.simulator.read(light, frame=number, label=label, added_e=np.asarray(stray_light_e, np.float32))
         measured = measure_frame(frame, self.reduction)
-        partner, false = measured.matched(position_px, self.config.window_px, MATCH_PX)
-        detected = partner >= 0
+        detection, false = measured.matched(position_px, self.config.window_px, MATCH_PX)
+        detected = detection >= 0
         detectable = detected if dark is None else dark.detected[number]
         lost = float((detectable & ~detected).sum() / max(detectable.sum(), 1))
-        fit = detected.copy()
-        fit[detected] = measured.fit[partner[detected]]
-        centroid = (measured.stars.pixel_px[partner[fit]] - position_px[fit]).ravel()
-        example = (frame.dn - self.reduction.dark_dn) / np.float32(frame.gain_dn_per_e)
-        return detected, false, lost, centroid, self._attitude(measured, light, rough), example.astype(np.float32)
+        usable = detected.copy()
+        usable[detected] = measured.fit[detection[detected]]
+        image_e = (frame.dn - self.reduction.dark_dn) / np.float32(frame.gain_dn_per_e)
+        return _MeasuredField(
+            detected=detected,
+            false=false,
+            lost_fraction=lost,
+            error_px=(measured.stars.pixel_px[detection[usable]] - position_px[usable]).ravel(),
+            error_arcsec=self._attitude_error(measured, light, prior),
+            image_e=image_e.astype(np.float32),
+        )
 
-    def _attitude(self, measured: MeasuredFrame, light: SkyLight, rough: Rotation) -> FloatArray:
+    def _attitude_error(self, measured: MeasuredFrame, light: SkyLight, prior: Rotation) -> FloatArray:
+        """Error (3,) of the attitude, stars identified from the a-priori attitude; NaN: not solved."""
         assert light.field is not None
         catalogue = SimpleNamespace(id=np.asarray(light.field.stars.id), direction=np.asarray(light.field.direction))
-        matches = identify_stars(measured.stars, self.model, catalogue, near=rough, radius_px=4.0 * ATTITUDE_ERROR_PX)
+        matches = identify_stars(measured.stars, self.model, catalogue, near=prior, radius_px=4.0 * PRIOR_SIGMA_PX)
         solution = solve_attitude(measured.stars, matches, self.model, catalogue)
         if not solution.ok:
             return np.full(3, np.nan)

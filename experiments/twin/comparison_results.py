@@ -113,7 +113,7 @@ class ComparedStatistic:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CompletenessBin:
+class TwinCompleteness:
     """Completeness between two magnitudes."""
 
     magnitude_mag: float = col("G", "mag", ".2f")
@@ -172,7 +172,7 @@ def compare_statistics(compared: HeldOut, limit_mag: float) -> list[ComparedStat
     return rows
 
 
-def completeness_bins(compared: HeldOut, limit_mag: float) -> list[CompletenessBin]:
+def completeness_bins(compared: HeldOut, limit_mag: float) -> list[TwinCompleteness]:
     """Detected fraction per half magnitude about the limit."""
     edges = np.arange(np.floor(2.0 * limit_mag) / 2.0 - 1.5, limit_mag + 1.01, 0.5)
 
@@ -190,7 +190,7 @@ def completeness_bins(compared: HeldOut, limit_mag: float) -> list[CompletenessB
         spread = [float(np.sqrt(p * (1.0 - p) / count[k])) for p in (fraction_5[:, k].mean(), fraction_6[:, k].mean())]
         real = measured([fraction_5[0, k], fraction_6[0, k]], spread, int(count[k]))
         rows.append(
-            CompletenessBin(
+            TwinCompleteness(
                 magnitude_mag=float(edges[k] + 0.25),
                 stars=int(count[k]),
                 real_5_sigma=real[0],

@@ -7,7 +7,7 @@ import pytest
 
 from experiments.harness.progress import Progress
 from experiments.straylight import drawing, experiment
-from experiments.straylight.experiment import changes, exclusion
+from experiments.straylight.experiment import compare_variants, find_exclusion
 from experiments.straylight.settings import StraylightConfig
 from experiments.straylight.transmittance import bare_lens, behind_baffle, check_baffle
 from optics.frames import polar_direction
@@ -50,7 +50,7 @@ def observed(angle: float) -> SimpleNamespace:
 
 def test_the_exclusion_angle_is_where_frames_cease_to_be_usable() -> None:
     stray, rows = cliff(), [observed(angle) for angle in (2.0, 20.0, 34.0, 60.0, 90.0)]
-    found, more = exclusion(StraylightConfig(), stray, LIGHT, rows, observed)
+    found, more = find_exclusion(StraylightConfig(), stray, LIGHT, rows, observed)
     truth = stray.pst.last_angle_deg(700.0 / 2e9)
     assert found.farthest_unusable_deg <= truth <= found.nearest_usable_deg
     assert found.sun_exclusion_deg == pytest.approx(truth, abs=4.0)
@@ -64,7 +64,9 @@ def test_the_exclusion_angle_is_where_frames_cease_to_be_usable() -> None:
 
 @pytest.mark.parametrize(("usable", "angle"), [(True, 0.0), (False, 180.0)])
 def test_no_angle_and_every_angle(usable: bool, angle: float) -> None:
-    found, _ = exclusion(StraylightConfig(), cliff(), LIGHT, [frames(a, 1.0, usable) for a in (10.0, 90.0)], observed)
+    found, _ = find_exclusion(
+        StraylightConfig(), cliff(), LIGHT, [frames(a, 1.0, usable) for a in (10.0, 90.0)], observed
+    )
     assert (found.sun_exclusion_deg, found.bounded) == (angle, False)
 
 
@@ -74,7 +76,7 @@ def test_usable_frames_inside_the_exclusion_angle_do_not_count() -> None:
         frames(a, light, ok)
         for a, light, ok in ((10.0, 900.0, False), (20.0, 10.0, True), (30.0, 800.0, False), (60.0, 5.0, True))
     ]
-    found, _ = exclusion(StraylightConfig(), cliff(), LIGHT, rows, lambda a: frames(a, 100.0, a > 40.0))
+    found, _ = find_exclusion(StraylightConfig(), cliff(), LIGHT, rows, lambda a: frames(a, 100.0, a > 40.0))
     assert 30.0 < found.sun_exclusion_deg < 60.0
 
 
@@ -93,7 +95,7 @@ def test_variants_change_one_thing_at_a_time(monkeypatch) -> None:
 
     monkeypatch.setattr(experiment, "behind_baffle", twice)
     ticks = []
-    rows = changes(StraylightConfig(), stray, LIGHT, 700.0, lambda: ticks.append(1))
+    rows = compare_variants(StraylightConfig(), stray, LIGHT, 700.0, lambda: ticks.append(1))
     assert [row.change for row in rows] == [
         "as it is", "dust of level 500", "coating black_anodised", "coating magic_black", "edges twice as round",
         "no vanes", "no baffle",
