@@ -1,7 +1,7 @@
 """Gain by a gyro against the number of stars per frame, and the loss where ACC takes a noisy gyro as error-free.
 
 Gain: median line-of-sight error of calibrations with an independent attitude in every frame over that of calibrations
-with the gyro (ACC, or "linked": adjustment that weights the gyro by its noise).
+with the gyro (ACC, attitude-correlated calibration, or "linked", least squares that weight the gyro by its noise).
 """
 
 from __future__ import annotations

@@ -45,14 +45,14 @@ class TrueBench:
     """True values and errors of a bench; errors in units of their sigma."""
 
     number: int
-    table_from_cube: FloatArray  # (3, 3) Of the cube's body
-    normal: FloatArray  # (6, 3) In the body's frame, in the order of `render.bench.scene.FACES`
+    table_from_cube: FloatArray  # (3, 3) Pose of the cube's body
+    normal: FloatArray  # (6, 3) Normals of the faces in the body's frame, in the order of `render.bench.scene.FACES`
     sensor_from_table: FloatArray  # (3, 3) R_sr
     sensor: MaskSensor  # Sun sensor as built
     start: FloatArray  # (faces, repeats, 2) Initial offset of the spot, -1 to 1 of ``trim.start_px``
     aim: FloatArray  # (faces, repeats, 2) Aiming error, x and y on the screen
     mounting: FloatArray  # (faces, repeats, 2) Movement of the camera mount
-    non_orthogonality: float  # Of the axes of the table
+    non_orthogonality: float  # Non-orthogonality of the axes of the table
 
     def normal_in_table(self, face: str) -> FloatArray:
         """True normal of a face in the table frame (3,)."""
@@ -73,12 +73,12 @@ class TrueBench:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CubeCase:
-    """Active errors and method of reduction."""
+    """Errors that act in a Monte-Carlo case, and its method of reduction."""
 
     name: str  # Key of the case, in names of random streams too
-    label: str  # For readers
-    aim_px: float = 0.0  # 1 sigma of the trim error
-    non_orthogonal: bool = False  # Axes of the table
+    label: str  # Label in tables and figures
+    aim_px: float = 0.0  # 1 sigma of the adjustment error per axis
+    non_orthogonal: bool = False  # Non-orthogonality of the axes of the table
     mounting: bool = False  # Movement of the camera mount
     reading: bool = False  # Noise of the angle readings
     # Adjusted from a spot set by eye, in steps of the table, with the operator's gain, until the stopping criterion
@@ -97,8 +97,8 @@ class CubeLaboratory:
     config: CubeMirrorConfig
     geometry: BenchGeometry
     camera: BenchCamera
-    detector: Detector  # Of the CCD camera
-    sensor_detector: Detector  # Of the sun sensor
+    detector: Detector  # Detector of the CCD camera
+    sensor_detector: Detector  # Detector of the sun sensor
     scene: Any  # Mitsuba scene
     sensor: Any  # The camera as a Mitsuba sensor
     aperture_e: NDArray[np.float32]  # (h, w) Expected electrons of the picture of the covered, glowing aperture
@@ -132,7 +132,7 @@ def face_start_rad(face: str) -> FloatArray:
     return np.array(FACE_ANGLES_DEG[face]) * DEG_RAD
 
 
-def geometry_of(config: CubeMirrorConfig) -> BenchGeometry:
+def build_geometry(config: CubeMirrorConfig) -> BenchGeometry:
     """Sizes of the bench."""
     return BenchGeometry(
         distance_mm=config.screen.distance_mm,
@@ -148,7 +148,7 @@ def geometry_of(config: CubeMirrorConfig) -> BenchGeometry:
     )
 
 
-def camera_of(config: CubeMirrorConfig, detector: Detector) -> BenchCamera:
+def build_camera(config: CubeMirrorConfig, detector: Detector) -> BenchCamera:
     """The camera as it was aimed."""
     return BenchCamera(
         width_px=detector.width_px,
@@ -162,13 +162,15 @@ def camera_of(config: CubeMirrorConfig, detector: Detector) -> BenchCamera:
 
 def build_laboratory(config: CubeMirrorConfig) -> CubeLaboratory:
     """Build the scene and take the picture of the covered aperture, both common to all benches."""
-    geometry = geometry_of(config)
+    geometry = build_geometry(config)
     detector = load_detector(config.camera.detector or DATA / "cube_ccd.toml")
     sensor_detector = sun_sensor(config)
-    camera = camera_of(config, detector)
+    camera = build_camera(config, detector)
     check_bench(config, geometry, camera)
     check_light_levels(config, detector, sensor_detector)
-    pose = CubePose.of_table(geometry, Rotation.from_euler("y", 180, degrees=True).as_matrix(), NOMINAL_CUBE, SQUARE)
+    pose = CubePose.of_table(
+        geometry, Rotation.from_euler("y", 180, degrees=True).as_matrix(), NOMINAL_CUBE, PERFECT_NORMALS
+    )
     sensor = camera.sensor()
     covered = bench_scene(geometry, pose, covered=True)
     parts: Any = covered, sensor, camera, geometry, detector
@@ -187,7 +189,7 @@ def build_laboratory(config: CubeMirrorConfig) -> CubeLaboratory:
     )
 
 
-SQUARE = np.array([sign * np.eye(3)[axis] for axis, sign in FACES.values()])
+PERFECT_NORMALS = np.array([sign * np.eye(3)[axis] for axis, sign in FACES.values()])
 """Normals of a perfect cube, in the order of FACES."""
 
 
@@ -260,7 +262,7 @@ def small_rotation(arcsec: FloatArray) -> FloatArray:
 
 def _tilted_normals(tilt_arcsec: FloatArray) -> FloatArray:
     """Normals (6, 3) of a cube whose faces are tilted by (6, 2)."""
-    normals = SQUARE.copy()
+    normals = PERFECT_NORMALS.copy()
     for i, (axis, _) in enumerate(FACES.values()):
         normals[i, [(axis + 1) % 3, (axis + 2) % 3]] += tilt_arcsec[i] * ARCSEC_RAD
     return np.asarray(normals / np.sqrt((normals**2).sum(axis=1, keepdims=True)))

@@ -1,5 +1,8 @@
 """Error budget per term and axis, predicted by geometry without pictures, compared with CUBE09's eq. 13 and 14.
 
+Set-up: the sun sensor with the cube on its back stands on a two-axis turntable. Step 1 calibrates the sensor on the
+table (R_sr). Step 2 turns two faces of the cube to a beam that enters through the aperture of a screen; a face reflects
+it back onto the screen, and the table is adjusted until a camera sees spot and aperture concentric (R_pr).
 R_pr turns the table frame into that of the cube, R_sr into that of the sun sensor: R_sp = R_pr R_sr^-1 (eq. 11).
 Eq. 14 adds four numbers as if each acted on every axis. In fact R_pr gets its x and y from the first face and its z
 from the second, so that an error of a face's normal in one direction is an error about one axis. Per axis:
@@ -37,7 +40,7 @@ from calib.calibration.cube_mirror import (
 )
 from experiments.cube.bench import (
     NOMINAL_CUBE,
-    SQUARE,
+    PERFECT_NORMALS,
     CubeCase,
     CubeLaboratory,
     TrueBench,
@@ -73,15 +76,15 @@ RATE_STEP_ARCSEC = 10.0
 ACTING_FRACTION = 1 / 3
 """Fraction of the prediction from which on a term is judged on an axis."""
 
-PICTURES_RELATIVE = 1.0
-"""Relative error of the predicted noise of the Monte-Carlo's pictures: the line of a spoke is fitted to some thirty
-particles, which scatter its slope too. Measured 1.4 to 2.3 times as large with 2^15 to 2^20 particles. No verdict
-depends on it: pictures of a laboratory have no particles."""
-DETECTOR_RELATIVE = 0.1
-"""Relative error of the predicted noise by the detector: at 18 deg a pixel is 5 % longer on the screen, and bilinear
+RELATIVE_PICTURE_UNCERTAINTY = 1.0
+"""Relative uncertainty assigned to the predicted noise of rendered pictures. The noise measured with 2^15 to 2^20
+traced particles is 1.4 to 2.3 times the prediction, which omits the scatter of an edge's slope by its some thirty
+particles. No verdict depends on it: pictures of a laboratory have no particles."""
+RELATIVE_DETECTOR_UNCERTAINTY = 0.1
+"""Relative uncertainty of the detector's predicted noise: at 18 deg a pixel is 5 % longer on the screen, and bilinear
 interpolation leaves 2/3 of the variance along the rows only, less along diagonals."""
-SENSOR_RELATIVE = 0.15
-"""Relative error of the predicted noise of the spots: closed form for a uniform disk without partly lit pixels."""
+RELATIVE_SPOT_UNCERTAINTY = 0.15
+"""Relative uncertainty of the spots' predicted noise: closed form for a uniform disk without partly lit pixels."""
 
 STRATIFIED = ("pixel", "square", "mounting")
 """Terms that follow a single stratified input of a bench; the others come from noise, or from several inputs."""
@@ -129,7 +132,7 @@ def perfect_bench(config: CubeMirrorConfig, sensor: MaskSensor) -> TrueBench:
     return TrueBench(
         number=0,
         table_from_cube=NOMINAL_CUBE,
-        normal=SQUARE,
+        normal=PERFECT_NORMALS,
         sensor_from_table=np.eye(3),
         sensor=sensor,
         start=zero,
@@ -164,12 +167,12 @@ def geometric_error(
     return rotation_error_rad(cube.rotation * calibrated.rotation.inv(), true) * RAD_ARCSEC
 
 
-def non_orthogonality_rates(config: CubeMirrorConfig, sensor: MaskSensor) -> FloatArray:
+def non_orthogonality_sensitivity(config: CubeMirrorConfig, sensor: MaskSensor) -> FloatArray:
     """Error of R_sp (3,) per unit of the axes' non-orthogonality, by a finite difference."""
     return geometric_error(config, sensor, non_orthogonality_arcsec=RATE_STEP_ARCSEC) / RATE_STEP_ARCSEC
 
 
-def beam_rates(config: CubeMirrorConfig, sensor: MaskSensor) -> FloatArray:
+def beam_sensitivity(config: CubeMirrorConfig, sensor: MaskSensor) -> FloatArray:
     """Error of R_sp (3, 2) per unit of the beam's angle to the table's Z axis, in x and in y."""
     errors = [
         geometric_error(config, sensor, beam_arcsec=beam) for beam in ((RATE_STEP_ARCSEC, 0.0), (0.0, RATE_STEP_ARCSEC))
@@ -186,7 +189,7 @@ def predict_terms(laboratory: CubeLaboratory, sensor: MaskSensor, trim_px: Float
         "pixel": pixel * every_axis,
         # x and z come from the offset in y (outer axis), y from the offset in x
         "trim": pixel * trim_px[[1, 0, 1]] * every_axis,
-        "square": np.abs(non_orthogonality_rates(config, sensor)) * config.table.square_arcsec,
+        "square": np.abs(non_orthogonality_sensitivity(config, sensor)) * config.table.square_arcsec,
         "mounting": config.camera.mounting_arcsec * every_axis,
         "reading": reading_term(config.table.outer_reading_arcsec, config.table.inner_reading_arcsec) * every_axis,
     }
@@ -223,7 +226,9 @@ def _budget_row(
     picture, sensor = _noise_arcsec(laboratory, case, pictures)
     predicted = root_sum_square([term, picture, sensor])
     # predicted = sqrt(sum a^2), so that sigma(predicted) = sqrt(sum (a sigma(a))^2) / predicted
-    prediction_error = np.hypot(PICTURES_RELATIVE * picture**2, SENSOR_RELATIVE * sensor**2) / predicted
+    prediction_error = (
+        np.hypot(RELATIVE_PICTURE_UNCERTAINTY * picture**2, RELATIVE_SPOT_UNCERTAINTY * sensor**2) / predicted
+    )
     stratified = [term_arcsec[key] for key in STRATIFIED if active[key]]
     acts_on = term > predicted * ACTING_FRACTION
     if case.improved or not acts_on.any():  # noise dominates on every axis

@@ -15,15 +15,15 @@ from calib.measure.targets.screen_circles import ScreenPicture
 from experiments.cube.bench import CubeCase, CubeLaboratory, TrueBench, build_laboratory, build_table, draw_truths
 from experiments.cube.budget import (
     BUDGET,
-    DETECTOR_RELATIVE,
-    PICTURES_RELATIVE,
-    SENSOR_RELATIVE,
+    RELATIVE_DETECTOR_UNCERTAINTY,
+    RELATIVE_PICTURE_UNCERTAINTY,
+    RELATIVE_SPOT_UNCERTAINTY,
     BudgetRow,
-    beam_rates,
+    beam_sensitivity,
     build_budget,
     eq13_arcsec,
     eq14_arcsec,
-    non_orthogonality_rates,
+    non_orthogonality_sensitivity,
     perfect_sensor,
 )
 from experiments.cube.montecarlo import CASES, BenchResult, CaseResult, SensorCache, run_bench, run_cases
@@ -67,7 +67,7 @@ def describe_setup(laboratory: CubeLaboratory, cases: Mapping[str, CaseResult], 
     geometry = laboratory.geometry
     sensor = perfect_sensor(laboratory)
     rim_mm = geometry.blur_mm(geometry.path_mm)
-    per_beam = beam_rates(laboratory.config, sensor)
+    per_beam = beam_sensitivity(laboratory.config, sensor)
     by_name = {row.term: row for row in rows}
     return CubeSetup(
         r_sp_error_arcsec=by_name["procedure"].measured,
@@ -79,7 +79,7 @@ def describe_setup(laboratory: CubeLaboratory, cases: Mapping[str, CaseResult], 
         pitch_um=laboratory.pitch_mm * 1e3,
         spot_mm=geometry.aperture_mm + 2 * rim_mm,
         rim_mm=rim_mm,
-        error_per_non_orthogonality=non_orthogonality_rates(laboratory.config, sensor),
+        error_per_non_orthogonality=non_orthogonality_sensitivity(laboratory.config, sensor),
         error_per_beam_x=per_beam[:, 0],
         error_per_beam_y=per_beam[:, 1],
     )
@@ -136,15 +136,15 @@ def compare_noise(laboratory: CubeLaboratory, cases: Mapping[str, CaseResult], p
     detector = np.array([pictures.two_pictures_detector_px, pictures.one_picture_detector_px])
     lean_sigma_rad = [bench.sensor.lean_sigma_rad for bench in improved.bench]
     return CubeNoise(
-        r_sr_predicted_arcsec=measured(sigma, SENSOR_RELATIVE * sigma),
+        r_sr_predicted_arcsec=measured(sigma, RELATIVE_SPOT_UNCERTAINTY * sigma),
         r_sr_mean_error_arcsec=measured(*reading.sensor_mean_arcsec, len(reading.bench)),
         r_sr_error_over_stated=reading.sensor_rms_pull,
         r_sr_error_over_predicted=Measured(
             value=float(np.sqrt(np.mean(pull**2))), uncertainty=1 / np.sqrt(2 * pull.size), n=pull.size
         ),
         spot_noise_predicted_px=predicted.spot_px,
-        picture_noise_px=measured(picture, PICTURES_RELATIVE * picture),
-        detector_noise_px=measured(detector, DETECTOR_RELATIVE * detector),
+        picture_noise_px=measured(picture, RELATIVE_PICTURE_UNCERTAINTY * picture),
+        detector_noise_px=measured(detector, RELATIVE_DETECTOR_UNCERTAINTY * detector),
         non_orthogonality_sigma_arcsec=float(np.mean(lean_sigma_rad)) * RAD_ARCSEC,
         r_sr_improved_arcsec=improved.sensor_rms_arcsec,
     )
@@ -319,7 +319,7 @@ SECTIONS = {
         verdicts=[
             ratio_near(
                 "r_sr_error_over_predicted",
-                within=SENSOR_RELATIVE,
+                within=RELATIVE_SPOT_UNCERTAINTY,
                 title="errors of R_sr over their prediction from spot noise, RMS",
             )
         ],

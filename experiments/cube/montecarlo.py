@@ -60,10 +60,10 @@ CASES = (
 class BenchResult:
     """A bench in a case; errors are rotation vectors in the cube frame."""
 
-    error_arcsec: FloatArray  # (3,) Of R_sp
+    error_arcsec: FloatArray  # (3,) Error of R_sp: rotation vector in the cube frame
     cube_error_arcsec: FloatArray  # (3,) Contribution of R_pr
     sensor_error_arcsec: FloatArray  # (3,) Contribution of R_sr
-    # (3,) Stated standard deviation of this contribution; includes the non-orthogonality of the axes if it is fitted
+    # (3,) Standard deviation of the contribution of R_sr, stated by the fit, with that of a fitted non-orthogonality
     sensor_sigma_arcsec: FloatArray
     face_angle_rad: float  # Between the first two faces, measured
     true_face_angle_rad: float
@@ -91,13 +91,13 @@ def reduce_bench(
     improved: bool,
 ) -> BenchResult:
     """R_sp of a bench and its error."""
-    config, geometry = laboratory.config, laboratory.geometry
+    config = laboratory.config
     fitted_table = replace(table.nominal, non_orthogonality_arcsec=np.array([sensor.lean_rad * RAD_ARCSEC]))
     normals, covariances = [], []
     for trim in trims:
         offset = trim.one_picture_offset if improved else trim.offset
         offset_mm = offset.offset_px * laboratory.pitch_mm if improved else np.zeros(2)
-        normal = normal_of_offset(offset_mm, geometry.distance_mm)
+        normal = normal_of_offset(offset_mm, laboratory.geometry.distance_mm)
         normals.append(normal_in_table(fitted_table, trim.reading_rad, normal))
         tilt_rad2 = offset.covariance_px2 * laboratory.tilt_per_px**2
         covariances.append(normal_covariance(fitted_table, trim.reading_rad, tilt_rad2))
@@ -129,7 +129,8 @@ def _non_orthogonality_rate(
     """Difference quotient (3,) of R_pr by the fitted non-orthogonality [rad/rad]."""
     step_arcsec = 1.0
     stepped = replace(table, non_orthogonality_arcsec=table.non_orthogonality_arcsec + step_arcsec)
-    names, no_covariance = [trim.face for trim in trims], np.zeros((len(trims), 3, 3))
+    names = [trim.face for trim in trims]
+    no_covariance = np.zeros((len(trims), 3, 3))
 
     def cube(axes: TableAxes) -> Rotation:
         normals = np.array([normal_in_table(axes, trim.reading_rad) for trim in trims])
@@ -201,7 +202,9 @@ class SensorCache:
 def _sensor(
     laboratory: CubeLaboratory, truth: TrueBench, case: CubeCase, table: Turntable, cache: SensorCache
 ) -> MaskSensorCalibration:
-    streams, axes = laboratory.streams.child("bench", truth.number), case.non_orthogonal
+    """Calibration of the sun sensor for a case, from the cache where it depends on nothing that the case changes."""
+    streams = laboratory.streams.child("bench", truth.number)
+    axes = case.non_orthogonal
     if axes not in cache.runs:
         without_reading_noise = build_table(laboratory.config, truth, CubeCase(name="", label="", non_orthogonal=axes))
         spots = streams.child("spots", int(axes))

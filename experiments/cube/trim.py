@@ -62,8 +62,8 @@ class FaceTrim:
     rows: tuple[TrimRow, ...]
     reading_rad: FloatArray  # (2,) Final readings of outer and inner angle
     offset: SpotOffset  # Remaining offset, from two pictures
-    # Remaining offset from the last picture of the spot, with the aperture as its dark hole: without movement of the
-    # mount between two pictures. Without coarse trims: ``offset``
+    # Remaining offset from the last picture of the spot, whose dark hole is the aperture: free of the camera mount's
+    # movement between two pictures. Equal to ``offset`` without a coarse adjustment
     one_picture_offset: SpotOffset
     pictures: tuple[ScreenPicture, ...] = ()  # Aperture, first spot, last spot; on request
 
@@ -109,8 +109,9 @@ def trim_face(
     log2_particles: int,
     keep_pictures: bool = False,
 ) -> FaceTrim:
-    """Turn a face to the light and trim the table until spot and aperture are concentric."""
-    config, name = laboratory.config, laboratory.config.cube.faces[face]
+    """Turn a face to the light and adjust the table until spot and aperture are concentric."""
+    config = laboratory.config
+    name = config.cube.faces[face]
     movement_rad = case.mounting * config.camera.mounting_arcsec * ARCSEC_RAD * truth.mounting[face, repeat]
     sensor = displaced_sensor(laboratory, movement_rad * laboratory.geometry.path_mm)
     glowing = expose(laboratory, laboratory.aperture_e, streams.child("aperture"))
@@ -133,7 +134,7 @@ def trim_face(
         perceived_px = offset.offset_px - case.aim_px * truth.aim[face, repeat]
         correction = laboratory.tilt_per_px * np.array([perceived_px[1], -perceived_px[0]])
         if not case.coarse or np.all(np.abs(perceived_px) < config.trim.stop_px):
-            # a single term starts trimmed: a last correction, without a picture to confirm it
+            # A single term starts concentric: one correction, without a picture to confirm it
             final = actual if case.coarse else actual + correction
             one_picture_offset = (
                 measure_offset(fit_hole(picture, aperture, advice=BETTER_LIGHT), spot, laboratory.pitch_mm)
@@ -180,11 +181,12 @@ def _check_brightness(config: CubeMirrorConfig, offset: SpotOffset) -> None:
 
 
 def _start_px(config: CubeMirrorConfig, case: CubeCase) -> float:
-    """Largest offset in the first picture: set by eye, or, for single terms, trimmed."""
+    """Largest offset in the first picture: of a spot set by eye, or, for single terms, of an adjusted face."""
     return config.trim.start_px if case.coarse else min(config.trim.stop_px, config.trim.start_px)
 
 
 def _trim_row(angle_rad: FloatArray, offset: SpotOffset) -> TrimRow:
+    """Row of Table 1 of CUBE09."""
     outer, inner = (angle_rad * RAD_DEG).tolist()
     return TrimRow(outer_deg=outer, inner_deg=inner, offset_px=offset.offset_px, sigma_px=offset.sigma_px)
 

@@ -18,9 +18,9 @@ from experiments.cube.bench import (
     face_start_rad,
 )
 from experiments.cube.budget import (
-    beam_rates,
+    beam_sensitivity,
     geometric_error,
-    non_orthogonality_rates,
+    non_orthogonality_sensitivity,
 )
 from experiments.cube.montecarlo import CASES, CaseResult
 from experiments.cube.sensor import calibrate_sensor, field_angles, fit_sensor, observe_spots, sensor_chip
@@ -58,7 +58,7 @@ def test_concentric_angles_return_the_light_into_the_aperture(face):
     config = CubeMirrorConfig(benches={"count": 2}, table={"square_arcsec": 200.0})
     truth = replace(draw_truths(config, Streams(5))[0], non_orthogonality=1.0)
     table = build_table(config, truth, CubeCase(name="", label="", non_orthogonal=True))
-    geometry = cube_bench.geometry_of(config)
+    geometry = cube_bench.build_geometry(config)
     angle = concentric_angles(table, truth.normal_in_table(face), face_start_rad(face))
     pose = CubePose.of_table(geometry, table.rotation(angle[None])[0].as_matrix(), truth.table_from_cube, truth.normal)
     assert reflected_spot_mm(geometry, pose, face) == pytest.approx([0, 0], abs=1e-9)
@@ -67,13 +67,13 @@ def test_concentric_angles_return_the_light_into_the_aperture(face):
 def test_non_orthogonal_axes_act_on_z_and_half_of_it_cancels():
     """By hand: the second face takes the full angle about z. The spots of the sun sensor are sheared: spots along x
     turn by the angle, spots along y do not: half a rotation, and half a shear that no rotation fits."""
-    rate = non_orthogonality_rates(CubeMirrorConfig(sensor={"grid": 5, "field_deg": 5.0}), mask())
+    rate = non_orthogonality_sensitivity(CubeMirrorConfig(sensor={"grid": 5, "field_deg": 5.0}), mask())
     assert rate[:2] == pytest.approx([0, 0], abs=1e-6)
     assert abs(rate[2]) == pytest.approx(0.5, abs=2e-3)
 
 
 def test_error_of_the_beam_is_not_in_the_published_budget():
-    rates = beam_rates(CubeMirrorConfig(sensor={"grid": 5}), mask())
+    rates = beam_sensitivity(CubeMirrorConfig(sensor={"grid": 5}), mask())
     assert np.abs(rates).max() > 1.0
     assert geometric_error(CubeMirrorConfig(sensor={"grid": 5}), mask()) == pytest.approx([0, 0, 0], abs=1e-6)
 
@@ -180,7 +180,7 @@ def test_bench_on_exact_coordinates_is_reduced_without_error(seed):
         )
         for face in config.cube.faces
     ]
-    geometry = cube_bench.geometry_of(config)
+    geometry = cube_bench.build_geometry(config)
     laboratory = SimpleNamespace(config=config, geometry=geometry, pitch_mm=0.015, tilt_per_px=0.015 / geometry.path_mm)
     bench = cube_montecarlo.reduce_bench(laboratory, truth, table, trims, sensor, improved=False)
     assert bench.error_arcsec == pytest.approx(np.zeros(3), abs=1e-5)

@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 from calib.calibration.table_axes import TableAxes
 from calib.measure.centroiding.moments import centre_of_light
 from calib.measure.targets.screen_circles import fit_aperture, fit_hole, fit_spot, measure_offset
-from experiments.cube.bench import NOMINAL_CUBE, SQUARE, CubeCase, build_table, draw_truths
-from experiments.cube.budget import DETECTOR_RELATIVE, reading_term
+from experiments.cube.bench import NOMINAL_CUBE, PERFECT_NORMALS, CubeCase, build_table, draw_truths
+from experiments.cube.budget import RELATIVE_DETECTOR_UNCERTAINTY, reading_term
 from experiments.cube.noise import picture_noise, spot_particles_px2
 from experiments.cube.sensor import field_angles
 from experiments.cube.trim import expose, spot_reach_mm
@@ -22,7 +22,7 @@ PICTURES = 24
 def turn_face(laboratory, tilt_rad):
     """A perfect cube whose +Z face faces the light except for a tilt that moves the spot along +x."""
     table = Rotation.from_rotvec([0.0, tilt_rad, 0.0]) * Rotation.from_euler("y", 180, degrees=True)
-    pose = CubePose.of_table(laboratory.geometry, table.as_matrix(), NOMINAL_CUBE, SQUARE)
+    pose = CubePose.of_table(laboratory.geometry, table.as_matrix(), NOMINAL_CUBE, PERFECT_NORMALS)
     place_cube(laboratory.scene, laboratory.geometry, pose)
 
 
@@ -46,7 +46,7 @@ def test_noise_of_the_pictures_by_the_detector(laboratory):
     scatter = np.sqrt(np.var(offsets, axis=0, ddof=1).mean(1))
     predicted = picture_noise(laboratory)
     ratio = scatter / [predicted.two_pictures_detector_px, predicted.one_picture_detector_px]
-    assert ratio == pytest.approx(np.ones(2), abs=DETECTOR_RELATIVE + 3.29 / np.sqrt(4 * (PICTURES - 1)))
+    assert ratio == pytest.approx(np.ones(2), abs=RELATIVE_DETECTOR_UNCERTAINTY + 3.29 / np.sqrt(4 * (PICTURES - 1)))
 
 
 @pytest.mark.slow

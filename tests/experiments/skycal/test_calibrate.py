@@ -168,7 +168,7 @@ def test_records(calibrated, scene, sky, truth):
     assert error.noise_map_rms_arcsec == pytest.approx([calibrated.of("corrected").rms_arcsec] * 2, rel=1e-4)
     assert error.measured_predicted_arcsec[0].value == calibrated.of("measured").map.predicted_rms_arcsec
     assert error.measured_rms_arcsec == [calibrated.of("measured").rms_arcsec] * 2
-    fitted = {parameter.name: parameter.value for parameter in tables.parameters(calibrated)}
+    fitted = {parameter.name: parameter.value for parameter in tables.tabulate_parameters(calibrated)}
     for name, value in truth.items():
         true = value + SHIFT_PX * (name == "x0_px") + PSF_PX[1] * (name == "y0_px")
         assert abs(fitted[name].value - true) < 4.5 * fitted[name].uncertainty
@@ -176,11 +176,11 @@ def test_records(calibrated, scene, sky, truth):
     brown, pinhole = tables.compare_models(calibrated)
     assert (brown.parameters, pinhole.parameters) == (8, 3)
     assert pinhole.direct_arcsec == calibrated.direct["pinhole"].rms_arcsec > pinhole.corrected_predicted_arcsec
-    rows = tables.map_points(calibrated)
+    rows = tables.tabulate_map(calibrated)
     assert len(rows) == 81
     assert np.array_equal(rows[7].position_px, chart.pixel_px[7])
     assert np.array_equal(rows[7].noise_arcsec, calibrated.part_arcsec["noise"][7])
-    star = tables.stars(calibrated)[3]
+    star = tables.tabulate_stars(calibrated)[3]
     assert (star.frame, star.magnitude) == (matched.frame[3], scene.sky.magnitude[matched.star[3]])
     np.testing.assert_allclose(star.sigma_px, STATED_PX)
     assert np.array_equal(star.light_px, positions["light"][3])
