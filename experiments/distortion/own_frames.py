@@ -23,7 +23,7 @@ from experiments.harness.quantities import Outcome, Quantities
 from experiments.harness.sections import Section, above, below, col
 from experiments.reduce.folder import FrameFolder
 from experiments.reduce.frames_toml import FolderLayout
-from experiments.reduce.pipeline import POINTS, POINTS_CAPTION, FramesTest, Reduced, points_of
+from experiments.reduce.pipeline import POINTS, POINTS_CAPTION, FramesTest, Reduced, tabulate_points
 from experiments.reduce.series import reduce_series
 from optics.arrays import FloatArray
 from optics.errors import DomainError
@@ -70,7 +70,7 @@ class OrderChoice:
     over_best: float = col("Error at points left out over that of the best order", format=".3g")
 
 
-def orders(comparison: OrderComparison, scale: float) -> list[PolynomialOrder]:
+def tabulate_orders(comparison: OrderComparison, scale: float) -> list[PolynomialOrder]:
     """A record per order, in units of ``scale`` [arcsec/px]."""
     errors = (scale * error for error in (comparison.residual_px, comparison.point_px, comparison.line_px))
     return [
@@ -124,12 +124,12 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> Reduced:
         best_order=comparison.best_order,
         over_best=comparison.over_best(config.order),
     )
-    sections = {"grid": grid, "orders": orders(comparison, scale), "choice": choice}
-    return reduced, {**sections, **points_of(folder, reduced[-1], methods[0])}
+    sections = {"grid": grid, "orders": tabulate_orders(comparison, scale), "choice": choice}
+    return reduced, {**sections, **tabulate_points(folder, reduced[-1], methods[0])}
 
 
-def _axes(q: Quantities, grid: GridNumbers) -> None:
-    q.axis("reference", list(grid.references), "Reference")
+def _axes(quantities: Quantities, grid: GridNumbers) -> None:
+    quantities.axis("reference", list(grid.references), "Reference")
 
 
 def _tested_advice(outcome: Outcome) -> str:

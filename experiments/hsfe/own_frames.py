@@ -21,7 +21,7 @@ from experiments.harness.sections import Section, below, col
 from experiments.harness.summary import Measured, measured
 from experiments.reduce.folder import FrameFolder
 from experiments.reduce.frames_toml import FolderLayout
-from experiments.reduce.pipeline import POINTS, POINTS_CAPTION, FramesTest, Reduced, points_of
+from experiments.reduce.pipeline import POINTS, POINTS_CAPTION, FramesTest, Reduced, tabulate_points
 from experiments.reduce.series import SeriesFrames, reduce_series
 from optics.arrays import FloatArray
 from optics.errors import DomainError
@@ -125,7 +125,7 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any = None) -> R
         "order": PositionOrder(descriptions=descriptions, exchanged=len(descriptions))
         if np.isfinite(commanded_px).all()
         else None,
-        **points_of(folder, series[-1], methods[0]),
+        **tabulate_points(folder, series[-1], methods[0]),
     }
 
 

@@ -22,20 +22,20 @@ from render.records import ExpectedImage
 from render.sensor_file.instrument import Instrument
 
 PATTERNS = 48
-"""Drawn fixed patterns of the pixels from which their effect on the centroids is predicted."""
+"""Monte-Carlo fixed patterns of the pixels from which their effect on the centroids is predicted."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChromaticMeasurement:
     """Centroids and truth of a lens; p positions, j points, b filters, by method where a mapping."""
 
-    direction: FloatArray  # (p, j, 3) Unit vectors in cam
+    direction: FloatArray  # (p, j, 3) Unit vectors in the camera frame
     nominal_px: FloatArray  # (p, j, 2) Images by an ideal lens
     photon_px: FloatArray  # (p, j, b, 2) Truth: centroid of the noiseless image, within and outside the window
     pixels_px: FloatArray  # (p, j, b, 2) First moment of the noiseless pixels of the window
     mean_px: Mapping[str, FloatArray]  # (p, j, b, 2) Mean centroid over the frames
     sigma_px: Mapping[str, FloatArray]  # (p, j, b, 2) Standard deviation of a single frame's centroid
-    noise_px: FloatArray  # (p, j, b, 2) Its prediction for the main method, without motion of the line of sight
+    noise_px: FloatArray  # (p, j, b, 2) Predicted ``sigma_px`` of the main method, without motion of the line of sight
     pattern_px: Mapping[str, FloatArray]  # (q, p, j, b, 2) Predicted effect of q fixed patterns, common to the filters
     frames_used: NDArray[np.int64]  # (p, j, b) Frames that converged, main method
     rms_spot_um: FloatArray  # (b,) RMS spot radius of the traced bundles
@@ -60,7 +60,7 @@ class ChromaticMeasurement:
 
 
 class _FilterReadout(NamedTuple):
-    """The target at a position behind a filter."""
+    """Frames of the target at one position behind one filter."""
 
     light: PointLight
     frames: PointFrames
@@ -68,7 +68,7 @@ class _FilterReadout(NamedTuple):
     pattern_px: dict[str, FloatArray]  # (q, j, 2) Predicted effect of fixed patterns
 
 
-def _read(
+def _read_filter(
     light: PointLight, bench: Bench, instrument: Instrument, streams: Streams, position: str, methods: Sequence[str]
 ) -> _FilterReadout:
     frames = read_points(
@@ -80,7 +80,8 @@ def _read(
         label=light.band,
         where=f"{position} position, filter {light.band}",
     )
-    centroiders, pixel = light.centroiders(bench), instrument.pixel_noise()
+    centroiders = light.centroiders(bench)
+    pixel = instrument.pixel_noise()
     gain = linear_response(tight(centroiders[bench.methods[0]]), frames.stamps, frames.noise, light.light_e)
     pattern_px = {
         method: pattern_shifts_px(
@@ -109,14 +110,17 @@ def measure_chromatic(
     advance: Callable[[], None] = lambda: None,
 ) -> ChromaticMeasurement:
     """Run the test on a lens; ``patterns``: methods with predicted effects of fixed patterns, by default the main."""
-    scene, main = filter_scene(bench, instrument, by_grid=False), bench.methods[0]
+    scene = filter_scene(bench, instrument, by_grid=False)
+    main = bench.methods[0]
     patterns = patterns or (main,)
     target = corner_directions(bench.target, instrument) if directions is None else directions
     readouts, images = [], []
     for position, direction in zip(CORNERS, target, strict=True):
         position_streams = streams.child(position)
         lights, image = scene.lights(direction, position_streams, position)
-        readouts.append([_read(light, bench, instrument, position_streams, position, patterns) for light in lights])
+        readouts.append(
+            [_read_filter(light, bench, instrument, position_streams, position, patterns) for light in lights]
+        )
         images.append(image)
         advance()
 

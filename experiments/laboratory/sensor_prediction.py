@@ -45,16 +45,20 @@ from render.sensor_file.tables import CatalogueConfig, InstrumentConfig, Passban
 from render.sky.field import FieldOfView, field_of_view
 from render.sky.view import SkyView, expected_stars, sky_view
 
-DEEPER_MAG, DEPTH_STEP_MAG = 1.0, 0.5
-"""Magnitudes below the limiting magnitude to which the sky is searched, and their steps."""
+FAINT_MARGIN_MAG = 1.0
+"""The catalogue is used to this margin beyond the limiting magnitude."""
+DEPTH_STEP_MAG = 0.5
+"""Steps of the catalogue's depth, so that similar sensors share a cached sky."""
 BRIGHTEST_MAG = -1.5
 """No star is brighter (Sirius: V = -1.46 mag)."""
 WORST_FRACTION = 0.01
-"""Fraction of the sky in its worst part."""
-SAMPLED_STARS, FEWEST_ATTITUDES = 400_000, 100
-"""Stars in all sampled fields together: wide fields need fewer attitudes, at least this number."""
+"""Fraction of the sky that the worst attitudes and star counts refer to."""
+SAMPLED_STARS = 400_000
+"""Stars in all sampled fields together; limits the number of attitudes for wide fields."""
+MIN_ATTITUDES = 100
+"""Smallest number of sampled attitudes."""
 CACHE_SIZE = 64
-"""Settings whose results remain in memory."""
+"""Number of settings with results in memory."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,19 +66,19 @@ class CameraPrediction:
     """All results of a prediction."""
 
     config: Any  # PredictedSensorConfig, or the configuration of an experiment with all its keys
-    state: FieldResponse  # Lens and light
-    detector: Detector  # With the changes of the configuration, cut to the window
-    pixel: PixelNoise  # In one exposure
+    state: FieldResponse  # Response of lens, pass band and detector over the field
+    detector: Detector  # Detector as overridden by the configuration, cut to the window
+    pixel: PixelNoise  # Noise of a pixel in one exposure
     processing: DetectionLimit  # Noise of frames and detection
-    stars: StarErrors  # Errors against electrons
-    view: SkyView
-    attitude: AttitudeForecast
+    stars: StarErrors  # Centroid errors and detection probability against electrons
+    view: SkyView  # Stars of the sampled fields
+    attitude: AttitudeForecast  # Predicted attitude errors of the sampled fields
     limits_mag: Mapping[float, float]  # Fraction of stars detected -> magnitude
 
     @cached_property
     def records(self) -> tuple[Optics, StarAccuracy, SkyPerformance]:
         """Single numbers."""
-        return optics(self), accuracy(self), sky(self)
+        return summarise_optics(self), summarise_star_accuracy(self), summarise_sky(self)
 
     @cached_property
     def numbers(self) -> Mapping[str, float]:
@@ -113,9 +117,10 @@ class CameraPrediction:
 
     def electrons(self, magnitude: FloatArray, temperature_k: float, radius_px: FloatArray | float = 0.0) -> FloatArray:
         """Electrons in one exposure of stars of magnitudes (n,)."""
-        m = np.atleast_1d(np.asarray(magnitude, float))
-        kelvin, radius = np.full(len(m), float(temperature_k)), np.broadcast_to(np.asarray(radius_px, float), m.shape)
-        return self.state.electrons_per_s(m, kelvin, radius) * exposed_s(self.config)
+        magnitude = np.atleast_1d(np.asarray(magnitude, float))
+        kelvin = np.full(len(magnitude), float(temperature_k))
+        radius = np.broadcast_to(np.asarray(radius_px, float), magnitude.shape)
+        return self.state.electrons_per_s(magnitude, kelvin, radius) * exposed_s(self.config)
 
     def guide_stars(
         self,
@@ -127,7 +132,8 @@ class CameraPrediction:
         throughput: float = 1.0,
     ) -> GuideCatalogue:
         """Guide stars among ``stars`` at unit vectors (n, 3); magnitudes of quoted stars of the same electrons."""
-        axis, kelvin = np.zeros(len(stars)), star_temperature(stars, self.config.catalogue.temperature)
+        axis = np.zeros(len(stars))
+        kelvin = star_temperature(stars, self.config.catalogue.temperature)
         rate = self.state.electrons_per_s(stars.magnitude, kelvin, axis) * throughput
         zero = self.state.electrons_per_s(np.zeros(1), np.array([self.config.star.temperature_k]), np.zeros(1))[0]
         return guide_catalogue(
@@ -152,7 +158,8 @@ def exposed_s(config: PredictedSensorConfig) -> float:
 
 def detector_radii(state: FieldResponse) -> FloatArray:
     """Distances (n,) [px] from the centre of a uniform 16 x 16 grid over the detector."""
-    camera, fraction = state.sensor.camera, (np.arange(16) + 0.5) / 16.0 - 0.5
+    camera = state.sensor.camera
+    fraction = (np.arange(16) + 0.5) / 16.0 - 0.5
     x, y = np.meshgrid(fraction * camera.width_px, fraction * camera.height_px)
     return np.hypot(x, y).ravel()
 
@@ -214,7 +221,7 @@ def predict_camera(config: PredictedSensorConfig) -> CameraPrediction:
             or "the signal of every star is below the noise"
         )
         raise DomainError(f"half of the stars of {limit[0.5]:g} mag are not detected; {remark}")
-    view = sky_of(config, limit[0.5] + DEEPER_MAG)
+    view = sky_of(config, limit[0.5] + FAINT_MARGIN_MAG)
     return CameraPrediction(
         config=config,
         state=state,
@@ -244,10 +251,11 @@ def pixel_noise(config: PredictedSensorConfig, detector: Detector) -> PixelNoise
 
 def detection_limit(config: PredictedSensorConfig, detector: Detector, fwhm_px: float) -> DetectionLimit:
     """Noise of frames, and the detection limit in it."""
-    setting, pixel = config.instrument, pixel_noise(config, detector)
+    setting = config.instrument
+    pixel = pixel_noise(config, detector)
     background_e = config.background_e_per_s * setting.exposure_s
-    sound = pixel_noise(config, replace(detector, damage_centres_per_px=0.0))
-    clean_e2 = float(sound.temporal_e2(background_e, dark_frames=config.dark_frames))
+    undamaged = pixel_noise(config, replace(detector, damage_centres_per_px=0.0))
+    undamaged_e2 = float(undamaged.temporal_e2(background_e, dark_frames=config.dark_frames))
     dark_s = detector.dark_factor(setting.chip_temperature_c) * setting.exposure_s * (1.0 + 1.0 / config.dark_frames)
     damage, fraction = damage_steps(detector)
     frame = FrameNoise(
@@ -262,16 +270,19 @@ def detection_limit(config: PredictedSensorConfig, detector: Detector, fwhm_px: 
         background_e=background_e,
         dark_frames=config.dark_frames,
         saturation_e=float(detector.saturation_e - background_e - pixel.dark_e),
-        clipped_ratio=clipped_noise(math.sqrt(sound.floor_e4) / clean_e2, damage * dark_s / clean_e2, fraction),
+        clipped_ratio=clipped_noise(
+            math.sqrt(undamaged.floor_e4) / undamaged_e2, damage * dark_s / undamaged_e2, fraction
+        ),
     )
-    pixels, count = detector.width_px * detector.height_px, config.false_alarms_per_frame
-    if count is not None:
-        return DetectionLimit.of_false_alarms(count, frame=frame, pixels=pixels, fwhm_px=fwhm_px)
+    pixels = detector.width_px * detector.height_px
+    false_alarms = config.false_alarms_per_frame
+    if false_alarms is not None:
+        return DetectionLimit.of_false_alarms(false_alarms, frame=frame, pixels=pixels, fwhm_px=fwhm_px)
     return DetectionLimit(frame=frame, pixels=pixels, fwhm_px=fwhm_px, threshold_sigma=config.threshold_sigma)
 
 
 def sightings(config: PredictedSensorConfig, state: FieldResponse, view: SkyView) -> Sightings:
-    """Stars of the view with their light."""
+    """Stars of the sampled fields with their electrons, neighbours and colour shifts."""
     electrons = state.electrons_per_s(view.magnitude, view.temperature_k, view.radius_px) * exposed_s(config)
     return Sightings(
         frames=view.sample.frames,
@@ -303,10 +314,10 @@ def optical_state(config: PredictedSensorConfig) -> FieldResponse:
     turn_rad = math.radians(config.slew.rate_deg_per_s * config.instrument.exposure_s)
     if not turn_rad:
         return at_rest
-    longest, setting, window_px = longest_trail_px(config, at_rest)
+    max_trail_px, setting, window_px = longest_trail_px(config, at_rest)
     trail_px = turn_rad * at_rest.performance.plate_scale_mm / at_rest.sensor.camera.pixel_pitch_mm
-    if trail_px > longest:
-        needed = int(np.ceil(trail_px - longest + window_px)) // 2 * 2 + 1
+    if trail_px > max_trail_px:
+        needed = int(np.ceil(trail_px - max_trail_px + window_px)) // 2 * 2 + 1
         raise DomainError(
             f"slew.rate_deg_per_s, instrument.exposure_s: stars trail over {trail_px:.3g} px, which is too much for "
             f"{setting} {window_px} px (at least {needed}); lower rate or exposure, or choose another one"
@@ -316,10 +327,12 @@ def optical_state(config: PredictedSensorConfig) -> FieldResponse:
 
 def longest_trail_px(config: PredictedSensorConfig, at_rest: FieldResponse) -> tuple[float, str, int]:
     """Longest trail in the centroider's window, the setting that limits it, and the side of the window."""
-    setting, window_px = "window_px =", config.window_px
+    setting = "window_px ="
+    window_px = config.window_px
     half = None if needs_epsf(config.centroid) else getattr(get_centroider(config.centroid), "half_width_px", None)
     if half is not None and 2 * half + 1 < window_px:
-        setting, window_px = f"centroid = {config.centroid} with a window of", 2 * half + 1
+        setting = f"centroid = {config.centroid} with a window of"
+        window_px = 2 * half + 1
     rms_mm = float(np.nanmax(at_rest.performance.white.rms_mm()))
     return window_px - 4.0 * rms_mm / at_rest.sensor.camera.pixel_pitch_mm, setting, window_px
 
@@ -381,8 +394,9 @@ def _sky_of(
             f"no star of catalogue {full.name} is brighter than the sensor's limiting magnitude of {depth_mag:g} mag; "
             f"the brightest has {brightest:.2f} mag"
         )
-    stars, view = full.select(bright), _field_of_view(instrument)
-    count = int(np.clip(SAMPLED_STARS / expected_stars(len(bright), view), min(FEWEST_ATTITUDES, attitudes), attitudes))
+    stars = full.select(bright)
+    view = _field_of_view(instrument)
+    count = int(np.clip(SAMPLED_STARS / expected_stars(len(bright), view), min(MIN_ATTITUDES, attitudes), attitudes))
     rotations = Rotation.random(count, rng=Streams(seed).child("camera").generator("attitudes"))
     kelvin = star_temperature(stars, catalogue.temperature)
     return sky_view(stars, kelvin, view, rotations, window_px=window_px, depth_mag=depth_mag)
@@ -454,10 +468,12 @@ class SkyPerformance:
     attitude_roll_worst_noise_arcsec: float = col("Attitude roll, worst 1 %, noise alone", "arcsec", ".3f", shown=False)
 
 
-def optics(prediction: CameraPrediction) -> Optics:
+def summarise_optics(prediction: CameraPrediction) -> Optics:
     """Numbers of the lens on this detector."""
-    state, lens = prediction.state, prediction.state.performance
-    pitch, rms = state.sensor.camera.pixel_pitch_mm, lens.white.rms_mm()
+    state = prediction.state
+    lens = state.performance
+    pitch = state.sensor.camera.pixel_pitch_mm
+    rms = lens.white.rms_mm()
     width, height, diagonal = state.field_of_view_deg
     return Optics(
         focal_length_mm=state.sensor.focal_length_mm,
@@ -482,16 +498,22 @@ def optics(prediction: CameraPrediction) -> Optics:
     )
 
 
-def accuracy(prediction: CameraPrediction) -> StarAccuracy:
+def summarise_star_accuracy(prediction: CameraPrediction) -> StarAccuracy:
     """Numbers of the quoted star, mean over the detector."""
-    config, state, stars = prediction.config, prediction.state, prediction.stars
-    star, radius, axis_e = config.star, prediction.radii_px, prediction.axis_e
+    config = prediction.config
+    state = prediction.state
+    stars = prediction.stars
+    star = config.star
+    radius = prediction.radii_px
+    axis_e = prediction.axis_e
     electrons = prediction.electrons(np.full(len(radius), star.magnitude_mag), star.temperature_k, radius)
-    # the centroid of a clipped spot is not predicted
-    pixel = state.pixel_arcsec if prediction.fill <= 1.0 else math.nan
+    # the centroid of a saturated spot is not predicted
+    pixel_arcsec = state.pixel_arcsec if prediction.fill <= 1.0 else math.nan
     errors = stars.centroid
-    noise, pattern = (pixel * stars.rms_at(table, electrons, radius) for table in (errors.noise_px, errors.pattern_px))
-    phase = pixel * (stars.rms_at(errors.phase_px, electrons, radius) if errors.phase_px.any() else 0.0)
+    noise, pattern = (
+        pixel_arcsec * stars.rms_at(table, electrons, radius) for table in (errors.noise_px, errors.pattern_px)
+    )
+    phase = pixel_arcsec * (stars.rms_at(errors.phase_px, electrons, radius) if errors.phase_px.any() else 0.0)
     spot_px = stars.rms_at(stars.colour_px, electrons, radius) if stars.colour_px.any() else 0.0
     colour = state.pixel_arcsec * _colour_px(prediction, spot_px)
     snr = mean_snr(state.psfs[0], axis_e, prediction.processing.frame, config.window_px)
@@ -507,7 +529,7 @@ def accuracy(prediction: CameraPrediction) -> StarAccuracy:
 
 
 def _colour_px(prediction: CameraPrediction, spot_px: float) -> float:
-    """Error per axis by the colours of the stars that are detected: shifts, and spots unlike the PSF."""
+    """Error per axis by the colours of the detected stars: shift of the photocentre, and mismatch of the PSF."""
     view = prediction.view
     bright = view.magnitude <= prediction.limits_mag[0.5]
     if not bright.any():
@@ -518,17 +540,20 @@ def _colour_px(prediction: CameraPrediction, spot_px: float) -> float:
     return math.hypot(math.sqrt(0.5 * (shift_px**2).mean()), spot_px * math.sqrt((distance**2).mean()))
 
 
-def sky(prediction: CameraPrediction) -> SkyPerformance:
+def summarise_sky(prediction: CameraPrediction) -> SkyPerformance:
     """Numbers of detection and attitude."""
-    config, processing, forecast = prediction.config, prediction.processing, prediction.attitude
+    config = prediction.config
+    processing = prediction.processing
+    forecast = prediction.attitude
     attitudes = {}
     for kind, values in (("", forecast.total_arcsec), ("_noise", forecast.noise_arcsec)):
-        across = np.sqrt((values[:, :2] ** 2).mean(1))
-        for component, errors in (("cross", across), ("roll", values[:, 2])):
-            for part, level in (("", 0.5), ("_worst", 1.0 - WORST_FRACTION)):
+        cross_boresight = np.sqrt((values[:, :2] ** 2).mean(1))
+        for component, errors in (("cross", cross_boresight), ("roll", values[:, 2])):
+            for statistic, level in (("", 0.5), ("_worst", 1.0 - WORST_FRACTION)):
                 error = float(np.quantile(errors, level, method="inverted_cdf"))
-                attitudes[f"attitude_{component}{part}{kind}_arcsec"] = error
-    timing, exposure_s = config.timing, config.instrument.exposure_s
+                attitudes[f"attitude_{component}{statistic}{kind}_arcsec"] = error
+    timing = config.timing
+    exposure_s = config.instrument.exposure_s
     return SkyPerformance(
         saturation_mag=config.star.magnitude_mag + 2.5 * math.log10(max(prediction.fill, 1e-9)),
         limiting_magnitude_mag=prediction.limits_mag[0.5],

@@ -31,7 +31,7 @@ class TemporalMeasurement:
     levels_e: FloatArray  # (l,) Electrons per star and frame
     frames: int  # N of each level
     pixel_arcsec: float  # Angle of a pixel
-    sigma_px: Mapping[str, FloatArray]  # (l, j, 2) By method
+    sigma_px: Mapping[str, FloatArray]  # (l, j, 2) Standard deviation of a frame's centroid, by method
     light: PointLight  # The target as rendered, at the signal of the bench
     position_px: Mapping[str, FloatArray]  # (l, f, j, 2) Centroids, dark-subtracted
     motion_px2: FloatArray  # (l, 2, 2) Motion common to the stars (`common_motion_px2`)
@@ -49,20 +49,19 @@ class TemporalPrediction:
     pixel_arcsec: float  # Angle of a pixel
     linear_px: Mapping[str, FloatArray]  # (l, j, 2) By the linear response of the centroid to pixels
     sampled_px: Mapping[str, FloatArray]  # (l, j, 2) By noise drawn on noiseless windows
-    draws: int  # Draws per window behind ``sampled_px``
-    device_px: Mapping[str, FloatArray]  # (l, j, 2) Scatter of the standard deviation from chip to chip
-    common_px: Mapping[
-        str, FloatArray
-    ]  # (l, j, 2) Motion of the line of sight as the centroid follows it (`followed_px`)
+    draws: int  # Monte-Carlo samples per window of ``sampled_px``
+    device_px: Mapping[str, FloatArray]  # (l, j, 2) Scatter of the standard deviation from detector to detector
+    # (l, j, 2) Motion of the line of sight as the centroid follows it (`followed_px`)
+    common_px: Mapping[str, FloatArray]
     bound_px: FloatArray  # (l, j, 2) Cramer-Rao bound
-    frames: int  # N
+    frames: int  # N of each level
 
     def arcsec(self, sigma_px: FloatArray) -> FloatArray:
         """Temporal error (2,), 3 sigma, of standard deviations (j, 2)."""
         return np.asarray(3.0 * self.pixel_arcsec * sigma_px.mean(0))
 
     def sampled_error(self, method: str, level: int = 0) -> ErrorTerm:
-        """Temporal error at a level by drawn noise: finite draws, chips and motions of the line of sight differ."""
+        """Temporal error at a level by sampled noise; uncertainty: samples, detectors, motion of the line of sight."""
         return expected_temporal_error(
             self.sampled_px[method][level],
             self.pixel_arcsec,
@@ -74,7 +73,7 @@ class TemporalPrediction:
 
 
 def star_target_directions(bench: Bench, instrument: Instrument, place_px: Sequence[float] | None = None) -> FloatArray:
-    """Unit vectors (j, 3) in cam towards the multi-star target; by default at the centre of the first chip."""
+    """Unit vectors (j, 3) in the camera frame of the multi-star target, by default at the centre of chip one."""
     detector = instrument.detector
     centre = ((detector.chip_width_px - 1) / 2, (detector.chip_height_px - 1) / 2)
     return target_directions(bench.target, instrument, np.asarray(centre if place_px is None else place_px, float))
@@ -92,7 +91,7 @@ def measure_temporal(
 ) -> TemporalMeasurement:
     """Frames of a static target at several signal levels, as ACC18 section 1.2.
 
-    The target stands still: its points are detected once, at the signal of the bench, and only the brightness changes.
+    The target is at rest: its points are detected once, at the signal of the bench, and only the brightness changes.
     """
     scene = scene_of(scene, bench, instrument)
     bench = scene.bench
@@ -100,8 +99,9 @@ def measure_temporal(
     levels = np.array([bench.signal_e] if levels_e is None else levels_e, float)
     frames = []
     for number, level in enumerate(levels):
-        level_streams, ratio = streams.child("level", number), float(level / bench.signal_e)
-        frames.append(read_points(light, bench, instrument, streams=level_streams, signal_ratio=ratio))
+        level_streams = streams.child("level", number)
+        signal_ratio = float(level / bench.signal_e)
+        frames.append(read_points(light, bench, instrument, streams=level_streams, signal_ratio=signal_ratio))
         advance()
     return TemporalMeasurement(
         levels_e=levels,
@@ -129,12 +129,16 @@ def predict_temporal(
     bench = one_filter(bench)
     direction = star_target_directions(bench, instrument, place_px)[None]
     levels = np.array([bench.signal_e] if levels_e is None else levels_e, float)
-    pixel, noise_model = instrument.pixel_noise(), nominal_noise(instrument)
-    rng, motion_px = Streams(seed).generator("temporal prediction"), bench.power_px2(instrument)[0] ** 0.5
+    pixel = instrument.pixel_noise()
+    noise_model = nominal_noise(instrument)
+    rng = Streams(seed).generator("temporal prediction")
+    motion_px = bench.power_px2(instrument)[0] ** 0.5
     position = bundle_prediction(bench, instrument, direction)[:, :, bench.reference]
     bound_px = []
-    by_method: list[dict[str, list[FloatArray]]] = [{method: [] for method in bench.methods} for _ in range(4)]
-    linear_px, sampled_px, device_px, common_px = by_method
+    linear_px: dict[str, list[FloatArray]] = {method: [] for method in bench.methods}
+    sampled_px: dict[str, list[FloatArray]] = {method: [] for method in bench.methods}
+    device_px: dict[str, list[FloatArray]] = {method: [] for method in bench.methods}
+    common_px: dict[str, list[FloatArray]] = {method: [] for method in bench.methods}
     for level in levels:
         level_bench = replace(bench, signal_e=float(level))
         windows = target_windows(level_bench, instrument, direction, psf, position, defect=defect)

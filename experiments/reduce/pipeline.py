@@ -33,15 +33,15 @@ Reduced = tuple[Sequence[SeriesFrames], Mapping[str, Any]]
 class FramesTest:
     """Reduction of own frames by a method."""
 
-    title: str  # Of the report
+    title: str  # Title of the report
     layout: FolderLayout  # Requirements on a folder
     # ``reduce(folder, methods, config)``: centroids of the series, records of the sections of the method
     reduce: Callable[[FrameFolder, Sequence[str], Any], Reduced]
     sections: Mapping[str, Section]
     # Numbers at the head of the report: label -> (quantity, coordinates or positions along some dimensions)
     head: Mapping[str, tuple[str, Mapping[str, Any]]]
-    captions: Mapping[str, str] = field(default_factory=dict)  # Of its figures, by name
-    series: str = "Series"  # Axis label
+    captions: Mapping[str, str] = field(default_factory=dict)  # Captions of the figures by name
+    series: str = "Series"  # Label of the axis of the series
 
     def run(self, config: Any, *, progress: Progress) -> dict[str, Any]:
         """Read the folder of the configuration, centroid its frames, reduce and judge them."""
@@ -57,7 +57,7 @@ class FramesTest:
         with progress.stage("check"):
             checks = check_frames(folder, series, methods[0])
         return {
-            "folder": folder_record(self, folder, series, methods),
+            "folder": describe_folder(self, folder, series, methods),
             "series": [
                 Series(
                     series_name=centroids.name,
@@ -123,7 +123,7 @@ class Folder:
 
     test: FramesTest
     methods: Sequence[str]  # Centroiders, the main one first
-    names: Sequence[str]  # Of the series
+    names: Sequence[str]  # Names of the series
     source: str = col("Source", default="frames")
     points: int = col("Points")
     dark_frames: int = col("Dark frames")
@@ -132,34 +132,35 @@ class Folder:
     frame_size_px: Sequence[int] = col("Size of a frame", "px", dims="side")
     pixel_arcsec: float = col("Angle of a pixel", "arcsec")
     fewest_frames: int = col("Frames of the shortest series")
-    few_text: str = col("Remarks on the frames", shown=False)  # "" where they are enough
+    few_text: str = col("Remarks on the frames", shown=False)  # "" for `RECOMMENDED_FRAMES` or more
     prnu_fraction: float = col("Stated residual PRNU")
     # Without flats
     percent_px: float | None = col("Shift by a PRNU of 1 %", "px", ".4f", default=None)
     percent_over_noise: float | None = col("Over the noise of a mean", format=".2f", default=None)
 
 
-ENOUGH = 30
-"""Frames that ACC18 asks of a series."""
+RECOMMENDED_FRAMES = 30
+"""Frames per series that ACC18 requires."""
 
 
-def _few(test: FramesTest, shortest: SeriesFrames) -> str:
+def _short_series_remark(test: FramesTest, shortest: SeriesFrames) -> str:
     """Remark on series with fewer frames; poses are not judged by their number."""
-    if test.layout.fewest < 2 or shortest.frames >= ENOUGH:
+    if test.layout.fewest < 2 or shortest.frames >= RECOMMENDED_FRAMES:
         return ""
     scatter = 100.0 / np.sqrt(2.0 * (shortest.frames - 1))
     return (
-        f"Only {shortest.frames} frames in {shortest.name}, fewer than {ENOUGH}: the scatter of a point is known to "
-        f"{scatter:.0f} %, and {'no' if shortest.frames < FEWEST_FOR_LAG else 'little'} drift or correlation of frames "
-        "would be noticed."
+        f"Only {shortest.frames} frames in {shortest.name}, fewer than {RECOMMENDED_FRAMES}: the scatter of a point "
+        f"is known to {scatter:.0f} %, and {'no' if shortest.frames < FEWEST_FOR_LAG else 'little'} drift or "
+        "correlation of frames would be noticed."
     )
 
 
-def folder_record(
+def describe_folder(
     test: FramesTest, folder: FrameFolder, series: Sequence[SeriesFrames], methods: Sequence[str]
 ) -> Folder:
     """Numbers of a folder; the effect of a missing flat is the largest over the series."""
-    flat, percent = folder.flat, np.array([centroids.percent_px for centroids in series])
+    flat = folder.flat
+    percent = np.array([centroids.percent_px for centroids in series])
     shortest = min(series, key=lambda centroids: centroids.frames)
     variance = [(centroids.predicted_px(methods[0]) ** 2).mean() / centroids.effective_frames for centroids in series]
     return Folder(
@@ -173,22 +174,22 @@ def folder_record(
         frame_size_px=[folder.width_px, folder.height_px],
         pixel_arcsec=folder.settings.pixel_arcsec,
         fewest_frames=shortest.frames,
-        few_text=_few(test, shortest),
+        few_text=_short_series_remark(test, shortest),
         prnu_fraction=folder.settings.prnu_fraction,
         percent_px=float(percent.max()) if flat is None else None,
         percent_over_noise=float((percent / np.sqrt(variance)).max()) if flat is None else None,
     )
 
 
-def _axes(q: Quantities, folder: Folder) -> None:
-    q.axis("method", list(folder.methods), "Centroider", names=MethodLabels())
-    q.axis("axis", ["x", "y"], "Axis")
-    q.axis("series", np.arange(len(folder.names)) + 1, folder.test.series, names=folder.names)
+def _axes(quantities: Quantities, folder: Folder) -> None:
+    quantities.axis("method", list(folder.methods), "Centroider", names=MethodLabels())
+    quantities.axis("axis", ["x", "y"], "Axis")
+    quantities.axis("series", np.arange(len(folder.names)) + 1, folder.test.series, names=folder.names)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Series:
-    """A series as centroided."""
+    """Frames, signal and yield of a series."""
 
     series_name: str = col("Name", shown=False)
     frames: int = col("Frames")
@@ -229,17 +230,18 @@ class TargetPoint:
 class Cloud:
     """Centroids of the last series about the mean of each point, first centroider."""
 
-    apart_arcsec: FloatArray = col("Centroids about their mean", "arcsec", dims="frame point axis")
+    deviation_arcsec: FloatArray = col("Centroids about their mean", "arcsec", dims="frame point axis")
 
 
-def points_of(folder: FrameFolder, series: SeriesFrames, method: str) -> dict[str, Any]:
+def tabulate_points(folder: FrameFolder, series: SeriesFrames, method: str) -> dict[str, Any]:
     """Records of the sections `POINTS`."""
-    points, position_px = series.points, series.points.position_px[method]
+    points = series.points
+    position_px = points.position_px[method]
     rows = zip(points.mean_px(method), points.sigma_px(method), strict=True)
     deviation_px = position_px - np.nanmean(position_px, axis=0)
     return {
         "points": [TargetPoint(mean_px=mean, sigma_px=sigma) for mean, sigma in rows],
-        "cloud": Cloud(apart_arcsec=folder.settings.pixel_arcsec * deviation_px),
+        "cloud": Cloud(deviation_arcsec=folder.settings.pixel_arcsec * deviation_px),
     }
 
 
@@ -250,6 +252,6 @@ POINTS = {
         across="axis",
         caption="Centroids of the last series, first centroider; σ of a single frame.",
     ),
-    "cloud": Section(record=Cloud, figures={"cloud": cloud("apart_arcsec")}),
+    "cloud": Section(record=Cloud, figures={"cloud": cloud("deviation_arcsec")}),
 }
 POINTS_CAPTION = {"cloud": "All frames of all points about the mean of each point, last series."}

@@ -15,7 +15,7 @@ from experiments.harness.summary import Measured
 from experiments.harness.summary import measured as with_error
 from experiments.reduce.folder import FrameFolder
 from experiments.reduce.frames_toml import FolderLayout
-from experiments.reduce.pipeline import POINTS, POINTS_CAPTION, FramesTest, Reduced, points_of
+from experiments.reduce.pipeline import POINTS, POINTS_CAPTION, FramesTest, Reduced, tabulate_points
 from experiments.reduce.series import SeriesFrames, reduce_series
 from optics.arrays import FloatArray
 
@@ -58,7 +58,7 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any = None) -> R
     """
     reduced = [reduce_series(folder, series, methods, every_model=True) for series in folder.series]
     levels = [reduce_level(series, methods, folder.settings.pixel_arcsec) for series in reduced]
-    return reduced, {"levels": levels, **points_of(folder, reduced[-1], methods[0])}
+    return reduced, {"levels": levels, **tabulate_points(folder, reduced[-1], methods[0])}
 
 
 own_frames = FramesTest(

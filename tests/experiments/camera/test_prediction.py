@@ -13,7 +13,7 @@ from experiments.camera.settings import CameraReportConfig
 from experiments.harness.range import with_value
 from experiments.harness.sections import numbers_of
 from experiments.harness.what_if import judge, missed_words
-from experiments.laboratory.sensor_prediction import accuracy, predict_camera
+from experiments.laboratory.sensor_prediction import predict_camera, summarise_star_accuracy
 from render.sensor_file.requirements import RequirementsConfig
 
 TRACKER = {**sensor(1024, **RAYS), "sky": {"attitudes": 120}}
@@ -36,7 +36,7 @@ def test_a_star_that_saturates_has_no_accuracy_and_meets_no_requirement(config):
     assert long.saturated
     for name in ("nea_arcsec", "single_star_arcsec", "snr"):
         assert np.isnan(long.value(name)), name
-    assert not judge({"nea_arcsec": (100.0, False)}, numbers_of(accuracy(long)))[0].met
+    assert not judge({"nea_arcsec": (100.0, False)}, numbers_of(summarise_star_accuracy(long)))[0].met
 
 
 def test_saturation_and_sum_of_the_errors(tracker):
