@@ -168,19 +168,20 @@ BRIGHT_SNR = 10.0
 """From here on an undisturbed star is detected."""
 BOUND_SNR = (8.0, 25.0)
 """Range dominated by noise: below, detected stars are biased by their noise; above, colours and response dominate."""
-FEWEST_IN_BIN = 8
+MIN_STARS_IN_BIN = 8
 """Fewest stars in a bin for a centroid error."""
 BOUND_STARS = 300
 """Fewer give the ratio to worse than 5 %: an excess of 25 % would pass."""
 BOUND_MARGIN = 1.05
 """Ratio due to interpolation of PSFs and sharp spots."""
 MISSED_FRACTION = 0.01
-"""Of bright undisturbed stars."""
+"""Allowed fraction of missed stars among bright undisturbed ones."""
 FALSE_ALARM = 1e-3
 """Probability that a limit is exceeded by chance."""
 BINS_PER_DECADE = 6
 MAGNITUDE_STEP = 0.25
-SNR_BINS, LEAST_SNR = 23, 0.5
+SNR_BINS = 23
+MIN_SNR = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -188,7 +189,7 @@ class Example:
     """Frame of the report."""
 
     frame: int
-    electrons: NDArray[np.float32]  # (h, w) Above the dark
+    electrons: NDArray[np.float32]  # (h, w) Electrons above the mean dark frame
     measured: MeasuredFrame
     truth: dict[str, Any]  # Columns
 
@@ -326,9 +327,9 @@ def even_edges(values: FloatArray, step: float) -> FloatArray:
 
 def snr_edges(snr: FloatArray) -> FloatArray:
     positive = snr[snr > 0]
-    if not positive.max(initial=0.0) > LEAST_SNR:
+    if not positive.max(initial=0.0) > MIN_SNR:
         return np.ones(2)
-    return np.geomspace(max(LEAST_SNR, positive.min()), positive.max() * 1.001, SNR_BINS + 1)
+    return np.geomspace(max(MIN_SNR, positive.min()), positive.max() * 1.001, SNR_BINS + 1)
 
 
 def mean_of(values: NDArray[np.bool_], selected: NDArray[np.bool_]) -> float:
@@ -363,7 +364,7 @@ def centroid_bins(stars: MatchedStars, bound: CentroidBound) -> list[CentroidBin
     for k in np.unique(number):
         members = number == k
         count = int(members.sum())
-        if count < FEWEST_IN_BIN:
+        if count < MIN_STARS_IN_BIN:
             continue
         spread, uncertainty = robust_scatter(error[members])
         deviation = error[members] - np.median(error[members], axis=0)

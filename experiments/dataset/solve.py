@@ -43,14 +43,14 @@ if TYPE_CHECKING:
 
 
 PRIOR_OFF_PX = 20.0
-GOLDEN_RAD = np.pi * (3.0 - np.sqrt(5.0))
+GOLDEN_RAD = np.pi * (3.0 - np.sqrt(5.0))  # golden angle: directions of the a-priori errors, frame by frame
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SkyMap:
     """Apparent directions of the catalogue, for attitudes."""
 
-    direction: FloatArray  # (n, 3) Unit vectors in icrs, aberration included if the frames have it
+    direction: FloatArray  # (n, 3) Unit vectors, ICRS, aberration included if the frames have it
     by_id: Mapping[int, FloatArray] | None  # Directions by identifier of tetra3rs; None: the directions of its database
     id: NDArray[np.int64]  # (n,) Identifiers
 
@@ -62,7 +62,7 @@ class SkyMap:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SolvedFrame:
-    """Result of a frame; errors are rotation vectors in cam: across the boresight x, y, and roll z."""
+    """Result of a frame; errors are rotation vectors in the camera frame: cross-boresight x, y, and roll z."""
 
     frame: int = col("Frame")
     # Status of `calib.attitude.identify.identify`; "wrong" for an error of more than a pixel
@@ -99,7 +99,7 @@ def solve_frame(
     pixel_arcsec: float,
     near: Rotation | None = None,
 ) -> SolvedFrame:
-    """Solve one frame blind, or near a rough attitude, and compare with the truth."""
+    """Solve one frame blind, or near an a-priori attitude, and compare with the truth."""
     # patterns consist of the brightest stars, saturated and blended ones included
     stars = measured.stars
     usable = np.isfinite(stars.pixel_px).all(axis=1) & np.isfinite(stars.flux_e) & ~stars.sharp
@@ -175,7 +175,7 @@ def star_patterns(scene: DatasetScene) -> Any:
 
 
 class BlindSolver:
-    """tetra3rs with the camera and the sky of a dataset; in narrow fields, identification near a rough attitude."""
+    """tetra3rs with the camera and the sky of a dataset; in narrow fields, identification near an a-priori attitude."""
 
     def __init__(self, scene: DatasetScene, calibration: MapFit, patterns: Any) -> None:
         self.scene, self.calibration, self.database = scene, calibration, patterns
@@ -226,7 +226,7 @@ class BlindSolver:
 # --- Sections
 
 UNSOLVED_FRACTION = 0.005
-"""Of the frames; a single failure is always allowed."""
+"""Allowed fraction of failed frames; a single failure is always allowed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

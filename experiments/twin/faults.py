@@ -12,7 +12,7 @@ from optics.units import RAD_ARCSEC
 
 DAYLIGHT_FRACTION = 0.5
 """Background over the converter's range from which a frame is taken in daylight."""
-FEWEST = 4
+MIN_DETECTIONS = 4
 WIDE_PX = 2.5
 """Width (sigma) above which stars are out of focus; a Gaussian fit follows only the middle of a disk."""
 CLOUDED_FRACTION = 0.4
@@ -31,8 +31,8 @@ def likely_fault(frame: FrameSolution) -> str:
         reason = f"{message}; widths and noise remain valid"
     elif shape:
         reason = f"{shape}; {count} detections are too few to identify them"
-    elif count < FEWEST:
-        reason = f"no stars: fewer than {FEWEST} detections; lens cap, clouds or too short an exposure"
+    elif count < MIN_DETECTIONS:
+        reason = f"no stars: fewer than {MIN_DETECTIONS} detections; lens cap, clouds or too short an exposure"
     elif empty > CLOUDED_FRACTION:
         reason = (
             f"clouds or an obstacle: {100 * empty:.0f} % of the frame has no star, the {count} detections of the rest "

@@ -29,7 +29,8 @@ from experiments.twin.twin import AssumedCamera, TwinRenderer, build_twin
 from optics.arrays import BoolArray, FloatArray
 from render.engine.random import Streams
 
-FEWEST = 8
+MIN_STARS = 8
+"""Bright stars for an estimate of the bias, at least."""
 FOLDING_LIMIT = 0.2
 """Largest correction of the width (ln) and of the flux (mag)."""
 BRIGHT_SIGMA, BELOW_LIMIT_MAG = 8.0, 1.0
@@ -208,22 +209,22 @@ def _flux_bias(rendering: Rendering, full_fit: CameraFit, images: Sequence[Senso
     bias_mag = np.zeros(len(ratios_mag))
     for k in range(len(ratios_mag)):
         others = np.concatenate([ratio for j, ratio in enumerate(ratios_mag) if j != k or len(ratios_mag) == 1])
-        if len(others) >= FEWEST:
+        if len(others) >= MIN_STARS:
             bias_mag[k] = np.clip(np.median(others), -FOLDING_LIMIT, FOLDING_LIMIT)
     return bias_mag
 
 
 def _other_frames(stars: Centroids, good: BoolArray, without: int) -> BoolArray:
-    """Rows of the other frames; all rows where these are fewer than `FEWEST`."""
+    """Rows of the other frames; all rows where these are fewer than `MIN_STARS`."""
     other_frames = good & (stars.observations.frame != without)
-    return other_frames if other_frames.sum() >= FEWEST else good
+    return other_frames if other_frames.sum() >= MIN_STARS else good
 
 
 def _bright_width(fit: CameraFit, limit_mag: float, without: int) -> float:
     """Median width [px] of the Gaussian fits of bright stars, of the other frames."""
     stars = fit.gaussian
     good = _other_frames(stars, (stars.magnitude < limit_mag - BRIGHT_MAG) & np.isfinite(stars.width_px), without)
-    return float(np.median(stars.width_px[good])) if good.sum() >= FEWEST else 1.0
+    return float(np.median(stars.width_px[good])) if good.sum() >= MIN_STARS else 1.0
 
 
 def _bright_square(fit: CameraFit, limit_mag: float, without: int) -> float:
@@ -232,4 +233,4 @@ def _bright_square(fit: CameraFit, limit_mag: float, without: int) -> float:
     residual = camera_residuals(stars.observations, fit.camera, fit.attitudes)
     bright = (stars.magnitude < limit_mag - BRIGHT_MAG) & (np.hypot(*residual.T) < CLIP_PX)
     good = _other_frames(stars, bright, without)
-    return float((residual[good] ** 2).mean()) if good.sum() >= FEWEST else 0.0
+    return float((residual[good] ** 2).mean()) if good.sum() >= MIN_STARS else 0.0
