@@ -102,10 +102,10 @@ def thermal_term(lab: BudgetLaboratory, streams: Streams) -> ThermalTerm | str:
         return str(error)
     direction = field_directions(lab)
     nominal = nominal_px(lab.instrument, direction)
-    traced_px = [
+    cold_px, warm_px = (
         bundle_prediction(one_filter(lab_at.bench), lab_at.instrument, direction[None])[0, :, 0] for lab_at in cold_warm
-    ]
-    predicted_px_per_k = _sensitivity_px_per_k(*traced_px, stability_k)
+    )
+    predicted_px_per_k = _sensitivity_px_per_k(cold_px, warm_px, stability_k)
     measured_px_per_k = _sensitivity_px_per_k(*_measure_centroids(lab, cold_warm, direction, streams), stability_k)
     scale = stability_k * lab.instrument.pixel_arcsec  # stability_k is 3 sigma_T
     rms_arcsec, rms_sigma_arcsec = scale * np.array(smooth_map_rms(nominal, measured_px_per_k))
