@@ -130,14 +130,19 @@ class OutputFolder:
             os.rename(staging, self.path)  # replaces an empty folder in one step
         elif not _exchange(staging, self.path):
             earlier = Path(tempfile.mkdtemp(prefix=f".{self.path.name}.earlier-", dir=self.path.parent))
-            os.rename(self.path, earlier / "output")
+            kept = earlier / "output"
+            os.rename(self.path, kept)
             try:
                 os.rename(staging, self.path)
-            except OSError:
-                os.rename(earlier / "output", self.path)
+            except OSError as error:
+                try:
+                    os.rename(kept, self.path)
+                except OSError:
+                    reason = f"cannot be written ({error.strerror or error})"
+                    raise ConfigError(f"{self.shown}: {reason}; the earlier output is in {kept}") from error
+                earlier.rmdir()
                 raise
-            finally:
-                shutil.rmtree(earlier, ignore_errors=True)
+            shutil.rmtree(earlier, ignore_errors=True)
         _sync(self.path.parent)
 
 

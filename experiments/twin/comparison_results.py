@@ -289,8 +289,9 @@ def judge_completeness(outcome: Outcome) -> list[Criterion]:
         real, twin = outcome.quantity(f"real_{sigma}_sigma"), outcome.quantity(f"twin_{sigma}_sigma")
         difference = np.abs(real.values - twin.values)
         error = np.hypot(_error(real), _error(twin))
-        worst = int(np.argmax(difference - FALSE_LIMIT_SIGMA * error))
-        limit = COMPLETENESS_LIMIT + FALSE_LIMIT_SIGMA * float(error[worst])
+        quantile = two_sided_quantile(FALSE_ALARM / len(difference))  # of the largest of all bins
+        worst = int(np.argmax(difference - quantile * error))
+        limit = COMPLETENESS_LIMIT + quantile * float(error[worst])
         name = f"completeness per half magnitude, {sigma} sigma: twin against real, the worst"
         criteria.append(_criterion(name, float(difference[worst]), limit))
     return criteria
@@ -309,10 +310,9 @@ def judge_frames(outcome: Outcome) -> list[Criterion]:
         # a few sets determine the scatter of a frame poorly: the relative scatter, as of counts, is pooled over frames
         relative = _error(rendered) * np.sqrt(sets + 1.0) / np.sqrt(level)
         error = np.sqrt(np.mean(relative**2) / level)
-        worst = int(np.argmax(difference - error))
-        limit = allowed + two_sided_quantile(FALSE_ALARM / len(difference), len(difference) * (sets - 1.0)) * float(
-            error[worst]
-        )
+        quantile = two_sided_quantile(FALSE_ALARM / len(difference), len(difference) * (sets - 1.0))
+        worst = int(np.argmax(difference - quantile * error))
+        limit = allowed + quantile * float(error[worst])
         criteria.append(
             _criterion(f"{name}: twin against real, the worst of {len(difference)}", float(difference[worst]), limit)
         )

@@ -65,6 +65,23 @@ def test_failed_second_rename_puts_the_earlier_output_back(tmp_path, monkeypatch
     assert names(tmp_path) == ["out"]
 
 
+def test_an_earlier_output_that_cannot_be_put_back_is_kept_and_named(tmp_path, monkeypatch):
+    write(OutputFolder(tmp_path / "out"), "old")
+    monkeypatch.setattr(outputs, "_exchange", lambda first, second: False)
+    rename, calls = os.rename, []
+
+    def fails_from_the_second_on(source, target):
+        calls.append(source)
+        if len(calls) > 1:
+            raise OSError(5, "Input/output error")
+        rename(source, target)
+
+    folder = OutputFolder(tmp_path / "out")
+    monkeypatch.setattr(os, "rename", fails_from_the_second_on)
+    message = refuses(ConfigError, "the earlier output is in", write, folder, "new")
+    assert names(type(tmp_path)(message.rpartition(" is in ")[2])) == ["old", RECORD]
+
+
 @pytest.mark.parametrize("earlier", [True, False])
 @pytest.mark.parametrize("fault", [KeyboardInterrupt, OSError(28, "No space left on device")])
 def test_interrupted_writing_leaves_everything_as_it_was(tmp_path, earlier, fault):
