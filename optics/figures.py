@@ -289,6 +289,8 @@ def draw_distortion(
 
     Parameters
     ----------
+    lens : LensSystem
+        The lens.
     count : int
         Grid points per side.
     wavelength_nm : float, optional
@@ -296,6 +298,10 @@ def draw_distortion(
     exaggeration : float, optional
         Factor on the displacements; if left out, a round one that makes them visible.
 
+    Returns
+    -------
+    Figure
+        Of matplotlib.
     """
     grid = distortion_map(lens, count=count, wavelength_nm=wavelength_nm)
     dx, dy = grid.x_mm - grid.ideal_x_mm, grid.y_mm - grid.ideal_y_mm

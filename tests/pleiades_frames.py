@@ -25,4 +25,6 @@ def digests(folder: Path) -> dict[str, str]:
 
 
 def results(folder: Path) -> dict:
-    return json.loads((folder / "summary.json").read_text())["results"]
+    """Numbers of the section of frames."""
+    frames = json.loads((folder / "summary.json").read_text())["results"]["frames"]
+    return {name: number.get("value") for name, number in frames.items()}

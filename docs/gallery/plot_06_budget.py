@@ -15,7 +15,7 @@ from experiments.laboratory.settings.published import ACC18_ARCSEC
 budget = run_experiment("budget", {"predict_only": True})
 print(budget.table("budget"))
 terms = list(budget.data.term.values[:5])
-predicted = budget.data.predicted_arcsec.sel(term=terms)
+predicted = budget.data["terms.predicted_arcsec"].sel(term=terms)
 figure, axes = plt.subplots(figsize=(7, 3.6), layout="constrained")
 for shift, axis in ((-0.2, "x"), (0.2, "y")):
     axes.bar(np.arange(5) + shift, predicted.sel(axis=axis), 0.36, label=f"predicted, {axis}")

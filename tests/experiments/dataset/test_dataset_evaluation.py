@@ -92,7 +92,7 @@ def test_boresights_are_as_far_off_as_their_stars_allow(folder, truth):
     for row in table:
         mine = truth["frame"][truth["clean"]] == row["frame"]
         sigma = pixel_arcsec / np.sqrt((1.0 / bound[mine] ** 2).sum())
-        pulls += [row[f"error_{axis}_arcsec"] / sigma for axis in "xy"]
+        pulls += [row[f"error_arcsec_{axis}"] / sigma for axis in "xy"]
     low, high = chi2.ppf([0.005, 0.995], len(pulls))
     assert low < np.square(pulls).sum() < high
 

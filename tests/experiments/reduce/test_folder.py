@@ -205,9 +205,9 @@ def test_wedge_of_a_filter_and_exchanged_filters_are_found_in_rendered_frames(tm
     (writer.folder / "frames.toml").write_text(head + "".join(rows))
     layout, config = FolderLayout(needs=("filter_nm",), same_scene="place"), ChromaticConfig()
     read = read_folder(writer.folder, window_px=WINDOW_PX, layout=layout)
-    found = chromatic_own_frames.reduce_filters(read, ("cog",), config)[1]
+    found = chromatic_own_frames.reduce(read, ("cog",), config)[1]
     pair = next(one for one in found["constants"] if one.wedge_px[0].value > 0.02)
-    assert pair.told_text == "yes"
+    assert pair.separated_text == "yes"
     for one, value in zip(pair.wedge_px, wedge, strict=True):
         assert one.value == pytest.approx(value, abs=4 * one.uncertainty)
         assert one.uncertainty < 0.02
@@ -221,5 +221,5 @@ def test_wedge_of_a_filter_and_exchanged_filters_are_found_in_rendered_frames(tm
         high.rename(low)
         (writer.folder / "between.fits").rename(high)
     read = read_folder(writer.folder, window_px=WINDOW_PX, layout=layout)
-    (said,) = chromatic_own_frames.reduce_filters(read, ("cog",), config)[1]["exchange"].descriptions
+    (said,) = chromatic_own_frames.reduce(read, ("cog",), config)[1]["exchange"].descriptions
     assert "the files of 500 and 800 nm at place 'after'" in said

@@ -93,7 +93,7 @@ def test_chromatic_shifts_that_galsim_put_in_come_out(tmp_path, engine):
     points, pulls = Table.read(tmp_path / "out" / "points.ecsv"), []
     for pair, high, low in (("600-500", 600, 500), ("800-600", 800, 600)):
         here = points[points["pair"] == pair]
-        place = np.column_stack([here["x_px"], here["y_px"]])
+        place = np.column_stack([here["position_px_x"], here["position_px_y"]])
         which = np.linalg.norm(place[:, None] - np.concatenate(injected[600]), axis=2).argmin(1)
         true = (np.concatenate(injected[high]) - np.concatenate(injected[low]))[which]
         for a, axis in enumerate("xy"):
