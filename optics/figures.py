@@ -163,6 +163,8 @@ def draw_lens(
 
     Parameters
     ----------
+    lens : LensSystem
+        The lens; may be perturbed.
     fields_deg : sequence of float, optional
         Field angles along y [deg]; 0, 0.7 and 1 of the lens's field if left out.
     rays : int
@@ -170,6 +172,10 @@ def draw_lens(
     wavelength_nm : float, optional
         Wavelength; the design wavelength if left out.
 
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Made without pyplot; ``figure.savefig("lens.png")`` keeps it.
     """
     wave = lens.design_wavelength_nm if wavelength_nm is None else wavelength_nm
     fields = [0.0, 0.7 * lens.max_field_deg, lens.max_field_deg] if fields_deg is None else list(fields_deg)
@@ -225,6 +231,8 @@ def draw_spots(
 
     Parameters
     ----------
+    lens : LensSystem
+        The lens.
     fields_deg : sequence of (x, y), optional
         Field angles [deg]; 0, 0.5, 0.7 and 1 of the lens's field along y if left out.
     wavelength_nm : sequence of float, optional
@@ -232,6 +240,10 @@ def draw_spots(
     pixel_um : float, optional
         Draws a pixel of this pitch.
 
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Made without pyplot; ``figure.savefig("lens.png")`` keeps it.
     """
     fields = (
         [(0.0, fraction * lens.max_field_deg) for fraction in (0.0, 0.5, 0.7, 1.0)]

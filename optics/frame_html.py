@@ -228,7 +228,23 @@ def frame_page(
 
 
 def save_frame_page(path: str | Path, values: ArrayLike, layers: Sequence[Marks] = (), **settings: Any) -> Path:
-    """Write the page of `frame_page`, whose parameters follow ``path``; the file appears complete or not at all.
+    """Write the page of `frame_page`; the file appears complete or not at all.
+
+    Parameters
+    ----------
+    path : path
+        File to write.
+    values : (h, w)
+        Pixels.
+    layers : sequence of Marks
+        Drawn in this order.
+    **settings
+        As in `frame_page`.
+
+    Returns
+    -------
+    pathlib.Path
+        The file.
 
     Raises
     ------

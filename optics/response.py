@@ -88,7 +88,19 @@ class Curve:
 
 
 class Response(Curve):
-    """A fraction (0 ... 1) tabulated over wavelength: quantum efficiency, transmittance or reflectance; see `Curve`."""
+    """A fraction (0 ... 1) tabulated over wavelength: quantum efficiency, transmittance or reflectance; see `Curve`.
+
+    Attributes
+    ----------
+    name : str
+        What it is.
+    wavelength_nm : (n,)
+        Increasing vacuum wavelengths [nm].
+    value : (n,)
+        Fractions at them; linear in between.
+    source : str
+        Where they come from.
+    """
 
     __slots__ = ()
 

@@ -667,10 +667,22 @@ def observe(
 
     Parameters
     ----------
-    sensor, sky, exposure_s, seed
-        As in `SkySimulator`.
-    attitude, rate_deg_per_s, velocity_km_per_s, lens_state
-        As in `SkySimulator.expected`.
+    sensor : StarSensor
+        Camera and detector (`load_star_sensor`).
+    attitude : Rotation or Trajectory
+        cam from icrs (`optics.attitude_from_angles`), or how the camera moves, from its start on.
+    sky : Sky, optional
+        The stars (`load_sky`); the built-in sky to G = 8 if left out.
+    exposure_s : float, optional
+        Exposure time; the sensor's if left out.
+    seed : int
+        Of the noise.
+    rate_deg_per_s : (3,), optional
+        Angular velocity in cam axes.
+    velocity_km_per_s : (3,), optional
+        Velocity of the camera along icrs, in place of that of the sky's observer.
+    lens_state : ThermalState, optional
+        Temperature field of the lens; needs ``housing=``.
     layers : bool
         Whether the light of every source is also returned separately.
     **settings

@@ -30,21 +30,19 @@ def find_stars(
 ) -> StarTable:
     """Detected and centroided stars of an image, brightest first.
 
-    Every detection has a row; flags state its faults. ``stars.select(stars.fit)`` are the stars usable for an attitude.
-    ``PIXEL_PHASE`` flags stars too narrow (or too wide) for the centroider: ``stars.width_px`` is their width,
-    ``stars.phase_error_px`` the error that the covariance does not include.
+    Every detection keeps its row; flags state its faults. ``stars.select(stars.fit)`` are the stars usable for an
+    attitude. ``PIXEL_PHASE`` flags stars too narrow (or too wide) for the centroider: ``stars.width_px`` is their
+    width, ``stars.phase_error_px`` the error that the covariance does not include.
 
     Parameters
     ----------
     image : SensorImage, Frame or (h, w) array
         The image. Of a plain array of digital numbers, offset and noise are estimated from the background
-        (`calib.measure.images.sensor_image.sensor_image`, which also takes gain and read noise where they are known).
+        (`calib.measure.image.sensor_image`, which also takes gain and read noise where they are known).
     centroider : str
-        Name of a centroider (`calib.measure.centroiding.registry.list_centroiders`).
-    background, threshold_sigma, fwhm_px, max_stars, noise : optional
-        As of `detect`.
-    size_px : int
-        Side of the windows, odd.
+        Name of a centroider (`calib.measure.centroid.list_centroiders`).
+    background, threshold_sigma, fwhm_px, size_px, max_stars, noise : optional
+        As in `find_stamps`.
     **options
         Attributes of the centroider, e.g. ``epsf=`` for "epsf" or ``fit_background=True`` for "gaussian".
 

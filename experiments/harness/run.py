@@ -48,15 +48,33 @@ class Options:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class ExperimentRun:
-    """A finished run of an experiment."""
+    """A finished run of an experiment.
+
+    Attributes
+    ----------
+    experiment : Experiment
+        Declaration.
+    outcome : Outcome
+        Settings, result and quantities.
+    criteria : tuple of Criterion
+        Verdicts.
+    tables : mapping of str to Table
+        Tables of the report by name; `table` gives them to astropy.
+    variant : str or None
+        Mitsuba's variant, where something was rendered.
+    quick : bool
+        Whether it is the small run.
+    times_s : mapping of str to float
+        Seconds of each stage.
+    """
 
     experiment: Experiment
-    outcome: Outcome  # Settings, result and quantities
+    outcome: Outcome
     criteria: tuple[Criterion, ...]
-    tables: Mapping[str, Table]  # Tables of the report by name; `table` gives them to astropy
-    variant: str | None = None  # Mitsuba's variant of a run that rendered
+    tables: Mapping[str, Table]
+    variant: str | None = None
     quick: bool = False
-    times_s: Mapping[str, float] = field(default_factory=dict)  # By stage
+    times_s: Mapping[str, float] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         failed = [criterion.name for criterion in self.criteria if criterion.failed]

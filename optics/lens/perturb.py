@@ -83,8 +83,17 @@ def decentre(lens: LensSystem, what: What, x_mm: float = 0.0, y_mm: float = 0.0)
 
     Parameters
     ----------
+    lens : LensSystem
+        The lens.
+    what : str, int or sequence of int
+        See the module.
     x_mm, y_mm : float
         Shift in the lens frame [mm].
+
+    Returns
+    -------
+    LensSystem
+        A new lens.
     """
     _finite("decentre [mm]", x_mm, y_mm)
     return _moved(lens, what, np.eye(3), np.zeros(3), np.array([x_mm, y_mm, 0.0]))
@@ -97,10 +106,19 @@ def tilt(
 
     Parameters
     ----------
+    lens : LensSystem
+        The lens.
+    what : str, int or sequence of int
+        See the module.
     x_deg, y_deg : float
         Rotation vector about the axes of the lens frame [deg].
     pivot_mm : (3,), optional
         Point that stays; the vertex of the first named surface if left out.
+
+    Returns
+    -------
+    LensSystem
+        A new lens.
     """
     _finite("tilt [deg]", x_deg, y_deg)
     first = lens.surfaces[_selected(lens, what)[0][0]].position_mm
@@ -116,11 +134,20 @@ def despace(lens: LensSystem, what: What, z_mm: float, *, following: bool = Fals
 
     Parameters
     ----------
+    lens : LensSystem
+        The lens.
+    what : str, int or sequence of int
+        See the module.
     z_mm : float
         Shift [mm].
     following : bool
         False: the gap before grows and the gap after shrinks. True: all later surfaces and the image plane move too (a
         thicker spacer in front of the named surfaces).
+
+    Returns
+    -------
+    LensSystem
+        A new lens.
     """
     _finite("despace [mm]", z_mm)
     shift = np.array([0.0, 0.0, z_mm])
@@ -136,12 +163,19 @@ def change_shape(lens: LensSystem, surface: int, name: str, by: float) -> LensSy
 
     Parameters
     ----------
+    lens : LensSystem
+        The lens.
     surface : int
         Index of the surface.
     name : str
         Field of its shape, e.g. ``"radius_mm"``.
     by : float
         What is added, in the unit of the field.
+
+    Returns
+    -------
+    LensSystem
+        A new lens.
 
     Raises
     ------
@@ -162,8 +196,17 @@ def change_index(lens: LensSystem, what: What, by: float) -> LensSystem:
 
     Parameters
     ----------
+    lens : LensSystem
+        The lens.
+    what : str, int or sequence of int
+        See the module.
     by : float
         What is added.
+
+    Returns
+    -------
+    LensSystem
+        A new lens.
 
     Raises
     ------
@@ -189,15 +232,35 @@ def refocus(lens: LensSystem, z_mm: float) -> LensSystem:
 
     Parameters
     ----------
+    lens : LensSystem
+        The lens.
     z_mm : float
         Shift [mm].
+
+    Returns
+    -------
+    LensSystem
+        A new lens.
     """
     _finite("focus shift [mm]", z_mm)
     return replace(lens, image_position_mm=lens.image_position_mm + z_mm * lens.image_rotation[:, 2])
 
 
 def tilt_image(lens: LensSystem, x_deg: float = 0.0, y_deg: float = 0.0) -> LensSystem:
-    """Rotate the image plane about its own origin; parameters as in `tilt`."""
+    """Rotate the image plane about its own origin; rotation vector about the axes of the lens frame [deg].
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+    x_deg, y_deg : float
+        Rotation vector [deg].
+
+    Returns
+    -------
+    LensSystem
+        A new lens.
+    """
     _finite("image tilt [deg]", x_deg, y_deg)
     rotation = Rotation.from_rotvec([x_deg, y_deg, 0.0], degrees=True).as_matrix()
     return replace(lens, image_rotation=rotation @ lens.image_rotation)
@@ -212,12 +275,19 @@ def change_temperature(
 
     Parameters
     ----------
+    lens : LensSystem
+        The lens.
     temperature_c : float
         New temperature [C].
     housing_cte_per_k : float
         Linear expansion of the housing [1/K], e.g. 23.6e-6 aluminium 6061, 8.6e-6 titanium Ti-6Al-4V.
     pressure_hpa : float, optional
         New air pressure; unchanged if left out.
+
+    Returns
+    -------
+    LensSystem
+        A new lens.
 
     Raises
     ------

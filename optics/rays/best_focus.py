@@ -92,13 +92,17 @@ def best_focus_shift_mm(
 ) -> float:
     """Shift of the image plane [mm] that minimises the polychromatic spots.
 
-    Minimises the mean over fields of the mean square distance from the spot's mean over all wavelengths, with equal
-    weights of fields and wavelengths. Apply it with `optics.lens.perturb.refocus`.
+    Minimises the mean over fields of the mean square distance from the spot's mean over all wavelengths, fields and
+    wavelengths alike. Apply it with `optics.lens.perturb.refocus`. Errors as `optics.rays.spots.trace_spots`.
 
     Parameters
     ----------
-    lens, field_x_deg, field_y_deg, wavelength_nm
-        As of `optics.rays.spots.trace_spots`, whose errors are raised.
+    lens : LensSystem
+        The lens.
+    field_x_deg, field_y_deg : (f,)
+        Field angles [deg].
+    wavelength_nm : (w,)
+        Wavelengths [nm].
 
     Returns
     -------

@@ -23,12 +23,16 @@ def lateral_colour(
     reference_nm: float | None = None,
     of: Literal["bundle", "chief"] = "bundle",
 ) -> tuple[FloatArray, FloatArray]:
-    """Shift of the image with wavelength; errors as `optics.rays.spots.trace_spots`.
+    """Shift of the image with wavelength.
 
     Parameters
     ----------
-    lens, field_x_deg, field_y_deg, wavelength_nm
-        As of `optics.rays.spots.trace_spots`.
+    lens : LensSystem
+        The lens.
+    field_x_deg, field_y_deg : (f,)
+        Field angles [deg].
+    wavelength_nm : (w,)
+        Wavelengths [nm].
     reference_nm : float, optional
         Wavelength of zero shift; the design wavelength if left out.
     of : {"bundle", "chief"}

@@ -225,17 +225,25 @@ def spot_moments(
     order: tuple[int, int] = QUADRATURE,
     collimation: FloatArray | None = None,
 ) -> SpotMoments:
-    """Mean, covariance and transmitted area of the ray bundles of stars.
+    """Mean, covariance and transmitted area of the ray bundles of stars; errors as `trace_spots`.
+
+    A field from which no ray arrives has NaN moments and transmits 0.
 
     Parameters
     ----------
-    lens, field_x_deg, field_y_deg, wavelength_nm, samples, order, collimation
-        As of `trace_spots`, whose errors are raised.
+    lens : LensSystem
+        The lens.
+    field_x_deg, field_y_deg : (f,)
+        Field angles [deg].
+    wavelength_nm : (w,)
+        Wavelengths [nm].
+    samples, order, collimation : optional
+        As in `trace_spots`.
 
     Returns
     -------
     SpotMoments
-        Per field and wavelength; NaN moments and 0 transmitted where no ray of a field arrives.
+        Per field and wavelength.
     """
     spots = trace_spots(
         lens, field_x_deg, field_y_deg, wavelength_nm, samples=samples, order=order, collimation=collimation

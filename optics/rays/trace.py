@@ -255,8 +255,10 @@ def trace(lens: LensSystem, rays: Rays, visit: Visitor | None = None) -> Rays:
     ----------
     lens : LensSystem
         The lens.
-    rays, visit
-        As of `trace_program`.
+    rays : Rays
+        In the lens frame (`Rays.create`).
+    visit : callable, optional
+        See `Visitor`.
 
     Returns
     -------

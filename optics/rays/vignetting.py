@@ -14,14 +14,14 @@ from optics.rays.spots import spot_moments
 def vignetting(
     lens: LensSystem, field_x_deg: ArrayLike, field_y_deg: ArrayLike, wavelength_nm: float | None = None
 ) -> FloatArray:
-    """Transmitted area of the beam relative to field 0.
-
-    Times the cosine of the field angle it is the relative illumination by stars.
+    """Transmitted area of the beam relative to field 0, (f,); the cosine of the field angle is not part of it.
 
     Parameters
     ----------
-    lens, field_x_deg, field_y_deg
-        As of `optics.rays.spots.trace_spots`.
+    lens : LensSystem
+        The lens.
+    field_x_deg, field_y_deg : (f,)
+        Field angles [deg].
     wavelength_nm : float, optional
         Wavelength; the design wavelength if left out.
 
@@ -29,11 +29,6 @@ def vignetting(
     -------
     (f,) array
         Fractions.
-
-    Raises
-    ------
-    ConvergenceError
-        If no ray of field 0 arrives.
     """
     fx, fy = np.broadcast_arrays(np.atleast_1d(field_x_deg), np.atleast_1d(field_y_deg))
     wave = lens.design_wavelength_nm if wavelength_nm is None else wavelength_nm

@@ -45,8 +45,10 @@ def strehl(field: PupilField, *, at: tuple[int, int] = (0, 0)) -> float:
 
     Parameters
     ----------
-    field, at
-        See the module.
+    field : PupilField
+        Traced pupils (`optics.waves.pupil_field.trace_pupil`).
+    at : (int, int)
+        Field and wavelength.
 
     Returns
     -------
@@ -67,10 +69,12 @@ def strehl_through_focus(field: PupilField, focus_mm: ArrayLike, *, at: tuple[in
 
     Parameters
     ----------
-    field, at
-        See the module.
+    field : PupilField
+        Traced pupils (`optics.waves.pupil_field.trace_pupil`).
     focus_mm : (n,)
         Shifts [mm], positive away from the lens.
+    at : (int, int)
+        Field and wavelength.
 
     Returns
     -------
@@ -85,15 +89,18 @@ def transfer_function(
 ) -> ComplexArray:
     """Optical transfer function (f,), whose modulus is the MTF, at frequencies (f, 2) [cycles/mm] in the image plane.
 
-    The autocorrelation of the pupil in direction cosines (`optics.waves.pupil_grid`). Error for a perfect lens: 3e-5
+    The autocorrelation of the pupil in direction cosines, with phase and amplitude there as polynomials of the twelfth
+    degree fitted to the rays, on a grid whose cells at the rim count in part. Error for a perfect lens: 3e-5
     from a tenth of the cutoff on with 256 cells, 5e-4 with 64.
 
     Parameters
     ----------
-    field, at
-        See the module.
+    field : PupilField
+        Traced pupils (`optics.waves.pupil_field.trace_pupil`).
     frequency : (f, 2)
         Frequencies; 0 beyond the cutoff.
+    at : (int, int)
+        Field and wavelength.
     size : int
         Cells across the pupil.
 
@@ -119,24 +126,26 @@ def encircled_energy(
     at: tuple[int, int] = (0, 0),
     centre_mm: Sequence[float] | None = None,
 ) -> FloatArray:
-    """Fraction of all light within circles.
+    """Fraction of all light within circles (r,).
 
-    Integrates the image over the rings between the circles, by Gauss points along the radius and equidistant azimuths,
-    as many as a band-limited image needs.
+    Integrates the image over the rings between the circles, by Gauss points along the radius and evenly in azimuth, as
+    many as a band-limited image needs.
 
     Parameters
     ----------
-    field, at
-        See the module; sampled for windows as large as the largest circle.
+    field : PupilField
+        Pupils, sampled for windows as large as the largest circle.
     radius_mm : (r,)
         Radii.
+    at : (int, int)
+        Field and wavelength.
     centre_mm : (float, float), optional
         Centre; the centroid of all light if left out.
 
     Returns
     -------
     (r,) array
-        Fractions, 0 to 1.
+        Shares, 0 to 1.
     """
     amplitude, fx, fy, phase = plane_waves(field, at)
     mean_x, mean_y = field.centroid_mm(at)

@@ -237,8 +237,12 @@ def trace_pupil(
 
     Parameters
     ----------
-    lens, field_x_deg, field_y_deg, wavelength_nm
-        As of `optics.rays.spots.trace_spots`.
+    lens : LensSystem
+        The lens, perturbed or not.
+    field_x_deg, field_y_deg : (f,)
+        Field angles.
+    wavelength_nm : (w,)
+        Vacuum wavelengths.
     order : (int, int), optional
         Rings and azimuths; as many as a window needs if left out (`needed_order`).
     half_width_mm : float

@@ -69,8 +69,10 @@ def wavefront(
 
     Parameters
     ----------
-    field, at
-        Traced pupils (`optics.waves.pupil_field.trace_pupil`), and numbers of field and wavelength.
+    field : PupilField
+        Traced pupils (`optics.waves.pupil_field.trace_pupil`).
+    at : (int, int)
+        Field and wavelength.
     point_mm : (float, float), optional
         Reference point in the image plane; the one with the smallest error (tilt removed) if left out.
     radius_mm : float

@@ -35,7 +35,10 @@ def design(scene, stars):
 
 def gyro_drift(scene, bias=0.3, walk=0.05):
     return linked_design.GyroDrift.of(
-        scene.time_s, scene.swept, bias_rad_per_s=bias * DEG_RAD / 3600, walk_rad_per_sqrt_s=walk * DEG_RAD / 60
+        scene.time_s,
+        scene.integrated_rotation,
+        bias_rad_per_s=bias * DEG_RAD / 3600,
+        walk_rad_per_sqrt_s=walk * DEG_RAD / 60,
     )
 
 
