@@ -38,9 +38,9 @@ def find_stars(
     ----------
     image : SensorImage, Frame or (h, w) array
         The image. Of a plain array of digital numbers, offset and noise are estimated from the background
-        (`calib.measure.image.sensor_image`, which also takes gain and read noise where they are known).
+        (`calib.measure.images.sensor_image.sensor_image`, which also takes gain and read noise where they are known).
     centroider : str
-        Name of a centroider (`calib.measure.centroid.list_centroiders`).
+        Name of a centroider (`calib.measure.centroiding.registry.list_centroiders`).
     background, threshold_sigma, fwhm_px, size_px, max_stars, noise : optional
         As in `find_stamps`.
     **options
