@@ -116,11 +116,13 @@ def measure_noise(
     step = max(1, round(0.8 * fwhm_px))
     spread = SURE * SPREAD * fwhm_px / np.sqrt(pixels)
     tiles = _tiles(ratio.shape)
-    local = [_least_noise(ratio[tile], usable[tile], step, cut_off) for row in tiles for tile in row]
+    local = [_least_noise(ratio[tile], usable[tile], step, cut_off) for tile in tiles]
     limits = np.array([float(_limit(shape, STAR_Z)) for shape, _ in local])
+    if np.isnan(limits).all():  # structure everywhere
+        return FilteredNoise(correlation_x=white, correlation_y=white, pixels=pixels)
     calm = limits <= CALM * np.nanquantile(limits, CALM_FRACTION)
     quiet = np.zeros_like(usable)
-    for tile, (_, mask), is_calm in zip((tile for row in tiles for tile in row), local, calm, strict=True):
+    for tile, (_, mask), is_calm in zip(tiles, local, calm, strict=True):
         if is_calm:
             quiet[tile] = mask
     thin = (slice(None, None, step), slice(None, None, step))
@@ -150,11 +152,11 @@ def measure_noise(
     )
 
 
-def _tiles(shape: tuple[int, ...]) -> list[list[tuple[slice, slice]]]:
-    """Tiles of some `TILE_PX` that cover an image, by rows."""
+def _tiles(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
+    """Tiles of some `TILE_PX` that cover an image."""
     edges = [np.linspace(0, size, max(1, round(size / TILE_PX)) + 1).astype(int) for size in shape]
     rows, columns = ([slice(*pair) for pair in pairwise(axis.tolist())] for axis in edges)
-    return [[(row, column) for column in columns] for row in rows]
+    return [(row, column) for row in rows for column in columns]
 
 
 def _least_noise(

@@ -9,6 +9,7 @@ from scipy.ndimage import convolve
 from star_images import star_field
 
 from calib import detect, detection_noise, find_hot_pixels, sensor_image, without_pixels
+from calib.measure.detection.filtered_noise import measure_noise
 
 COLOUR = np.array([[1.0, 2.0, 1.0], [2.0, 4.0, 2.0], [1.0, 2.0, 1.0]]) / 4.0
 GREEN = np.array([[0.0, 1.0, 0.0], [1.0, 4.0, 1.0], [0.0, 1.0, 0.0]]) / 4.0
@@ -157,6 +158,13 @@ def test_stars_at_any_density_and_beside_structure_are_found_as_by_sep(scene):
         return np.mean(np.hypot(x_px - x[:, None], y_px - y[:, None]).min(axis=1, initial=99.0) < 1.5)
 
     assert completeness(stars.x_px, stars.y_px) >= completeness(extracted["x"], extracted["y"]) - 0.03
+
+
+def test_a_frame_without_pixels_between_its_structure_counts_as_white():
+    """Every 9 x 9 px hold a value beyond any limit that the search tries: no tile tells a noise."""
+    ratio = np.zeros((300, 300))
+    ratio[::4, ::4] = 1e6
+    assert measure_noise(ratio, np.ones(ratio.shape, bool), fwhm_px=2.0).white
 
 
 @pytest.mark.parametrize("scale", [1e-12, 1e-3, 1e6])
